@@ -101,10 +101,10 @@ def draw_ends(axes: Axes, trip: TripStrategy, named: bool = True, size: float = 
     ``size`` is that of the marks, as a share of the usual area.
     """
     options = trip.game.options
-    held = [(x, y) for x, y, _ in options.held_places]
+    secured = [(x, y) for x, y, _ in options.secured_places]
     draw_places(axes, places_of(trip), options.secured_distance, named, size,
-                np.array([*held, *sites_of(trip)[0]]))
-    for x, y, radius in options.held_places:
+                np.array([*secured, *sites_of(trip)[0]]))
+    for x, y, radius in options.secured_places:
         _circle(axes, (x, y), radius)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that were removed, and what to do instead, for parameters, commands and recordings."""
+"""Options that were renamed or removed, for parameters, commands, recordings and risk layers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from .errors import InvalidOption
+from .errors import InvalidOption, warn
+
+# Old names that work until the next release.
+RENAMED = {'--held': '--secured', 'game.held_places': 'game.secured_places', 'held': 'secured'}
 
 
 class _Gone(NamedTuple):
@@ -46,6 +49,13 @@ _GONE = {
         'leave it out: the plan minimises the risk, and its mean exposure is reported', math.inf),
     'trip.order': _Gone(_ORDER, 'given'),
 }
+
+
+def present_name(name: str) -> str:
+    """Return the name of an option; warn if it was given by its old one."""
+    if name in RENAMED:
+        warn(f'{name} is now {RENAMED[name]}; the old name works until the next release')
+    return RENAMED.get(name, name)
 
 
 def remedy_for(name: str) -> str:

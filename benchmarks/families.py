@@ -62,8 +62,8 @@ def draw(name: str) -> Problem:
                          secured_radius=None if secured < 0.0 else secured * spacing),
         strategy=StrategyOptions(max_detour=detour, time_limit=math.inf), max_gap=math.inf)
     rows, columns = scenario.risk_map.alpha.shape
-    words = (f'{rows} x {columns} cells reach {reach:.2g} held {secured:.2g} detour {detour:.3g} '
-             f'stops {count}')
+    words = (f'{rows} x {columns} cells reach {reach:.2g} secured {secured:.2g} '
+             f'detour {detour:.3g} stops {count}')
     return Problem(scenario, options, _places(rng, scenario.risk_map, int(count)), words)
 
 

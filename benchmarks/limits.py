@@ -67,9 +67,9 @@ def arguments_of(problem: Problem, file: Path) -> list[str]:
     """The problem as arguments of ``ambush plan``; its map is written to the file."""
     file.write_bytes(npz_bytes(problem.scenario.risk_map))
     game, (start, goal) = problem.options.game, (problem.scenario.start, problem.scenario.goal)
-    held = [] if game.secured_radius is None else ['--held', str(game.secured_radius)]
+    secured = [] if game.secured_radius is None else ['--secured', str(game.secured_radius)]
     return [str(file), '--start', *map(str, start), '--goal', *map(str, goal), '--reach',
-            str(game.ambush_radius), *held, '--detour', str(problem.options.strategy.max_detour)]
+            str(game.ambush_radius), *secured, '--detour', str(problem.options.strategy.max_detour)]
 
 
 def planned(_: str, given: list[str], time_limit: float, **options: float) -> Answer:

@@ -101,7 +101,7 @@ def _thresholds(results: Results) -> Figure:
             risk = draw_risk_map(panel, results.risk_map)
             lines = _draw_uses(panel, strategy, scale)
             _draw_sites(panel, strategy)
-            draw_ends(panel, strategy.alone)
+            draw_ends(panel, strategy.as_trip)
             if panel is panels[1]:
                 panel.set(xlim=(22.0, 31.0), ylim=(7.0, 16.0))
             draw_scale_bar(panel)
@@ -120,7 +120,7 @@ def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
         draw_mean_direction(right, _without_two_way_traffic(strategy), SPACING)
         for panel in (left, right):
             risk = draw_risk_map(panel, risk_map)
-            draw_ends(panel, strategy.alone)
+            draw_ends(panel, strategy.as_trip)
             draw_scale_bar(panel)
     _scales(figure, axes, lines, risk)
     return figure

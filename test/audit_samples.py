@@ -44,7 +44,7 @@ def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0, held=()):
     risk_map = risk_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
         network=plain_options(spacing=SPACING),
-        game=GameOptions(ambush_radius=reach, secured_radius=SECURED, held_places=held),
+        game=GameOptions(ambush_radius=reach, secured_radius=SECURED, secured_places=held),
         strategy=StrategyOptions(solver=solver),
     )
     return plan_trip(risk_map, start, GOAL, options)

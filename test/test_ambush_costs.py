@@ -22,7 +22,7 @@ def planned(seed, reach, held=()):
     risk_map = replace(random_map(seed, 14, 0.0), origin=(0.0, 0.0, 0.0))
     return plan_trip(risk_map, (1.0, 6.0), (13.0, 8.0), PlanningOptions(
         network=plain_options(spacing=2.0),
-        game=GameOptions(ambush_radius=reach, secured_radius=1.5, held_places=held)))
+        game=GameOptions(ambush_radius=reach, secured_radius=1.5, secured_places=held)))
 
 
 @examples(5)

@@ -152,7 +152,7 @@ def test_if_no_distribution_is_found_what_the_lp_draws_is_the_strategy(monkeypat
 
 @pytest.mark.parametrize('share', [0.3, 0.9])
 def test_blocks_searched_best_first_leave_out_no_place(share, monkeypatch):
-    monkeypatch.setattr(cell_losses, '_AT_ONCE', 5)
+    monkeypatch.setattr(cell_losses, '_MIN_BATCH', 5)
     rng = np.random.default_rng(4)
     obstacles = np.kron(rng.random((15, 15)) < 0.1, np.ones((4, 4))) > 0
     obstacles[:8, :8] = obstacles[-8:, -8:] = False
@@ -162,22 +162,22 @@ def test_blocks_searched_best_first_leave_out_no_place(share, monkeypatch):
                                                  widened=math.sqrt(0.5)))
     law, cells = chain_of(network, solve(network).edge_probability), CellLosses(risk_map, False)
     search = CellSearch(cells, [game], law.uses(len(network.edges)) > 0.0)
-    all_cells = cells.dear_blocks(16)
+    all_cells = cells.costly_blocks(16)
     for side in (16, 4):
-        all_cells = cells.divided(all_cells, side)
-    every = search._of_parts(all_cells, law, 0.0, 0.0)
-    above, apart = share * every.losses[0], 6.0
+        all_cells = cells.divide(all_cells, side)
+    every = search._worst_parts(all_cells, law, 0.0, 0.0)
+    above, apart = share * every.mean_loss[0], 6.0
     found = search.worst(law, above, apart)
     assert 1 < len(found.points) < 100 and found.mean_loss.min() > above
-    assert found.mean_loss[0] == pytest.approx(every.losses[0], rel=EQUAL)
+    assert found.mean_loss[0] == pytest.approx(every.mean_loss[0], rel=EQUAL)
     assert (np.diff(found.mean_loss) <= EQUAL).all()
     between = np.linalg.norm(found.points[:, None] - found.points, axis=2)
     assert (between + 2.0 * apart * np.eye(len(between)) > apart).all()
     # Each place that costs more than asked is one of them, or near one that costs as much: those of
     # all cells but for ties, which rounding decides.
-    dear = every.some(every.losses > above * (1.0 + EQUAL))
+    dear = every.subset(every.mean_loss > above * (1.0 + EQUAL))
     near = np.linalg.norm(dear.points[:, None] - found.points, axis=2) <= apart
-    assert (near & (found.mean_loss >= dear.losses[:, None] * (1.0 - EQUAL))).any(axis=1).all()
+    assert (near & (found.mean_loss >= dear.mean_loss[:, None] * (1.0 - EQUAL))).any(axis=1).all()
 
 
 @pytest.mark.parametrize('case', SMALL, ids=str)

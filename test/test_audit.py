@@ -39,7 +39,7 @@ class Departure:
 
 def departed(strategy, route, slot=None):
     """A departure on a single leg."""
-    return Departure(strategy.alone, (np.asarray(route),), slot)
+    return Departure(strategy.as_trip, (np.asarray(route),), slot)
 
 
 @pytest.fixture(scope='module')

@@ -186,7 +186,7 @@ HOLD, JUDGE = f'hold map.yaml {ENDS} -o h.png', f'judge map.yaml trips.csv {ENDS
     (JUDGE, 2, r'how far does an ambusher reach\? Add --reach METRES'),
     (f'{JUDGE} --reach 20 --detour 1.2', 2, 'leave out --detour'),
     (f'{JUDGE} --reach 20 --set strategy.max_detour=1.1', 2, 'leave out --detour'),
-    (f'{JUDGE} --reach 20 --held 600', 2, 'secured area covers everything'),
+    (f'{JUDGE} --reach 20 --secured 600', 2, 'secured area covers everything'),
 ])
 def test_a_mistake_is_named_in_one_line_and_nothing_is_written(inputs, monkeypatch, line, code,
                                                                words):

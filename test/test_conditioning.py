@@ -96,7 +96,7 @@ def test_a_rest_is_drawn_in_the_order_of_edges_on_every_machine():
     conditioned = ConditionedStrategy(strategy_on(count + 2, edges, [*shares, *shares]))
     lost = np.zeros(2 * count, bool)
     for seed in range(20):
-        nodes = conditioned.draw_from(0, lost, np.random.default_rng(seed))
+        nodes = conditioned.draw_rest(0, lost, np.random.default_rng(seed))
         drawn = np.random.default_rng(seed).choice(count, p=shares / shares.sum())
         assert nodes.tolist() == [0, middle[drawn], count + 1]
 
@@ -114,11 +114,11 @@ def test_the_rest_of_a_route_has_its_conditional_probability(drawn, data):
         if node in nodes and not lost[route[nodes.index(node):]].any():
             rests[tuple(nodes[nodes.index(node):])] += chance
     if not rests or node == network.target:
-        there = conditioned.draw_from(node, lost, rng)
+        there = conditioned.draw_rest(node, lost, rng)
         assert (there is None) if node != network.target else there.tolist() == [node]
         return
     draws = 400
-    found = Counter(tuple(conditioned.draw_from(node, lost, rng).tolist()) for _ in range(draws))
+    found = Counter(tuple(conditioned.draw_rest(node, lost, rng).tolist()) for _ in range(draws))
     assert found.keys() <= rests.keys()
     for rest, chance in rests.items():
         share = chance / rests.total()

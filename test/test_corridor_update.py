@@ -11,7 +11,7 @@ from ambush_planner import RiskMap
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.risk_map import to_world
 from ambush_planner.network.shortest_paths import distances_from, shortest_path
-from ambush_planner.routes.corridor_update import with_moved_end, with_new_obstacles
+from ambush_planner.routes.corridor_update import add_obstacles, move_end
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_path
 
@@ -43,9 +43,9 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
     field, ends = ObstacleField(newest, clear_of_edge), corridors.uv[corridors.network.edges]
     lost = ~field.clear_segments(ends[:, 0], ends[:, 1], clearance)
     route = a_route_left(corridors.network, lost, data.draw(st.integers(0, 99)))
-    far = with_new_obstacles(corridors, np.array([[1e4, 1e4]]), clearance, risk_map.resolution)
+    far = add_obstacles(corridors, np.array([[1e4, 1e4]]), clearance, risk_map.resolution)
     np.testing.assert_array_equal(far.widths, corridors.widths)
-    refitted = with_new_obstacles(corridors, centres, clearance, risk_map.resolution)
+    refitted = add_obstacles(corridors, centres, clearance, risk_map.resolution)
     check_path(driven_path(refitted, route, 0.2), refitted, route, field, clearance, tube)
     # Nothing is any wider, and nothing narrower than measured on the whole new map.
     whole = make_corridors(corridors.network, newest, clearance, tube, clear_of_edge,
@@ -76,7 +76,7 @@ def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     assume(np.hypot(*(others - place).T).min() > 1e-3)
     assume(field.clear_segments(np.broadcast_to(place, others.shape), others, clearance).all())
     where = tuple(to_world(corridors.origin, place).tolist())
-    moved = with_moved_end(
+    moved = move_end(
         corridors, node, where, risk_map, np.zeros(2), clearance, clear_of_edge
     )
     ends = [tuple(network.points[k].tolist()) for k in (network.source, network.target)]

@@ -41,7 +41,7 @@ AREA, STREETS = {'polygons': ''}, {'roads': ''}
 @pytest.mark.parametrize(('shapes', 'layer', 'tags', 'words'), [
     ([FIELD, ROAD, RING, MINE], {**AREA, 'forbidden': True}, {}, 'layer 1 .polygons.: x.gpkg: 3 of '
      r'4 shapes are no polygons \(2 LineString, 1 Point\); .* buffer'),
-    ([FIELD, MINE], {**AREA, 'held': True}, {}, '1 of 2 shapes'),
+    ([FIELD, MINE], {**AREA, 'secured': True}, {}, '1 of 2 shapes'),
     ([FIELD, RING], {**AREA, 'loss': 3}, {}, '1 of 2 shapes'),
     ([MultiPoint([MINE, Point(WEST, SOUTH)]), FIELD], AREA, {}, '2 of 3 shapes .*2 Point'),
     ([ROAD], {**AREA, 'factor': 2}, {}, '1 of 1 shapes'),
@@ -49,11 +49,12 @@ AREA, STREETS = {'polygons': ''}, {'roads': ''}
      '1 of 2 shapes'),
     ([FIELD, None, None], {**AREA, 'forbidden': True}, {},
      '2 of 3 features are left out: 2 without a geometry; forbidden ground must be whole'),
-    ([FIELD, None], {**AREA, 'held': 'barred'}, {'barred': [1, 1]}, 'held ground must be whole'),
+    ([FIELD, None], {**AREA, 'secured': 'barred'}, {'barred': [1, 1]},
+     'secured ground must be whole'),
     ([ROAD, FIELD], {**STREETS, 'forbidden': True}, {}, '1 of 2 features .*1 Polygon; forbidden'),
     ([ROAD, RING], {**STREETS, 'forbidden': True}, {'highway': ['track', 'footway']},
      'forbidden ground must be whole; put lines that are no roads'),
-    ([ROAD, None], {**STREETS, 'held': True}, {}, '1 without a geometry; held'),
+    ([ROAD, None], {**STREETS, 'secured': True}, {}, '1 without a geometry; secured'),
     ([ROAD], {**STREETS, 'passable': True}, {'waterway': ['river']}, 'or --all-lines-are-roads'),
     ([ROAD], {**STREETS, 'road_column': 'a=c'}, {'a': ['b']}, 'road_column .* of a has b 1'),
 ])

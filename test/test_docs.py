@@ -13,6 +13,7 @@ import ambush_planner
 SOURCES = sorted(path for folder in ('ambush_planner', 'examples', 'paper')
                  for path in ROOT.joinpath(folder).rglob('*.py'))
 CLAUSE = re.compile(r'(What|Who|Whoever|How|Whether|Where|When|Which|If|He)\b')
+ROLE = re.compile(r'\b(he|him|his)\b')
 DOCUMENTS = sorted(path for folder in ('.', 'docs', 'examples')
                    for path in ROOT.joinpath(folder).glob('*.md'))
 
@@ -29,12 +30,13 @@ def test_the_reference_lists_every_public_name_with_its_file():
         assert re.search(rf'(?m)^(class|def) {name}\b', source), name
 
 
-def test_docstrings_begin_with_a_verb_or_a_noun():
-    """None is a clause that its reader has to finish, or somebody's question."""
+def test_docstrings_begin_with_a_verb_or_a_noun_and_name_roles():
+    """None is a clause that its reader has to finish, or says he for the ambusher or the driver."""
     found = {f'{path.relative_to(ROOT)}:{node.lineno}' if hasattr(node, 'lineno') else path.name
              for path in SOURCES for node in ast.walk(ast.parse(path.read_text()))
              if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
-             and CLAUSE.match(ast.get_docstring(node) or '')}
+             and (text := ast.get_docstring(node) or '')
+             and (CLAUSE.match(text) or ROLE.search(text))}
     assert not found
 
 

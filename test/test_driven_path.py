@@ -134,7 +134,7 @@ def test_unneeded_nodes_are_skipped_only_without_a_tube():
     left_out = 0
     for seed in range(10):
         route = some_route(network, seed)
-        shorter = corridors.shortened(route)
+        shorter = corridors.shorten(route)
         assert set(shorter.tolist()) <= set(route.tolist())
         assert shorter[[0, -1]].tolist() == route[[0, -1]].tolist()
         assert {*itertools.pairwise(shorter.tolist())} <= links
@@ -143,7 +143,7 @@ def test_unneeded_nodes_are_skipped_only_without_a_tube():
         left_out += len(route) - len(shorter)
     assert left_out > 0
     kept = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=0.4)
-    assert np.array_equal(kept.shortened(route), route)
+    assert np.array_equal(kept.shorten(route), route)
 
 
 def longer(network, three):

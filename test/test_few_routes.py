@@ -83,7 +83,7 @@ def test_a_mixture_is_what_it_says(plan):
     count = len(few.paths)
     assert 1 <= count <= 5 and few.shares.sum() == pytest.approx(1.0)
     assert len({path.tobytes() for path in few.paths}) == count
-    judged = mixtures_of(plan.risk_map, plan, few.paths).judged(few.shares)
+    judged = mixtures_of(plan.risk_map, plan, few.paths).judge(few.shares)
     assert few.value == pytest.approx(judged.value)
     np.testing.assert_allclose(few.costs, lengths(few.paths))
     assert few.shares @ few.costs <= plan.strategy.length_budget * (1.0 + 1e-6)
@@ -104,7 +104,7 @@ def test_when_the_time_is_up_the_best_mixture_so_far_is_the_answer(plan, limit):
             return
         assert limit > 5 and time.monotonic() <= limit + 20
     assert 1 <= len(few.paths) <= 5 and few.lower_bound <= few.value == few.curve[-1][1]
-    judged = mixtures_of(plan.risk_map, plan, few.paths).judged(few.shares)
+    judged = mixtures_of(plan.risk_map, plan, few.paths).judge(few.shares)
     assert few.value == pytest.approx(judged.value)
     assert few.shares @ few.costs <= plan.strategy.length_budget * (1.0 + 1e-6)
 
@@ -186,4 +186,4 @@ def test_draws_by_hand_are_judged_and_cover_all_outcomes():
         named = [end for text in draw.ranges if text != '-' for end in text.split('-')]
         assert (named[0], named[-1]) == (outcomes[0], outcomes[-1])
         mixtures = mixtures_of(plan.risk_map, plan, plan.few.paths)
-        assert draw.value == pytest.approx(mixtures.judged(draw.counts / len(outcomes)).value)
+        assert draw.value == pytest.approx(mixtures.judge(draw.counts / len(outcomes)).value)

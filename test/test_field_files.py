@@ -218,7 +218,7 @@ def long_border(folder):
     geopandas.GeoDataFrame(geometry=[box(12.0, 45.0, 18.0, middle)], crs=4326).to_file(
         folder / 'a.gpkg')
     made = risk_from_layers({'crs': CRS, 'resolution': 10.0, 'bounds': [*CORNER, *(CORNER + 400.0)],
-                             'layers': [{'polygons': 'a.gpkg', 'held': True}]}, folder).risk_map
+                             'layers': [{'polygons': 'a.gpkg', 'secured': True}]}, folder).risk_map
     assert (made.alpha == 0.0).sum(axis=0).tolist() == pytest.approx([20] * 40, abs=1)
 
 

@@ -39,7 +39,7 @@ def coarse(text):
     """
     text = text.replace('-k 2 --', '-k 2 --set strategy.time_limit=600 --')
     text = text.replace('--resolution 90', '--resolution 180')
-    return re.sub(r'(?<=--held 2000)$', ' --set network.refine=0', text, flags=re.MULTILINE)
+    return re.sub(r'(?<=--secured 2000)$', ' --set network.refine=0', text, flags=re.MULTILINE)
 
 
 @pytest.mark.slow
@@ -49,7 +49,7 @@ def test_every_command_of_the_page_works(tmp_path):
     (tmp_path / 'docs').symlink_to(DOCS)
     done = run_script(coarse('rm -r runs\n'.join(map(script_of, PAGES))), tmp_path)
     assert done.returncode == 0, done.stderr
-    lines = r'(?m)^(?:driven .*|reweighted +[.\d]+|optimal .*|none held .*| \d .* Bridge .*)'
+    lines = r'(?m)^(?:driven .*|reweighted +[.\d]+|optimal .*|none secured .*| \d .* Bridge .*)'
     pages = ''.join((ROOT / page).read_text() for page in PAGES)
     shown, printed = (re.findall(lines, text) for text in (pages, done.stdout))
     assert len(shown) == 7

@@ -19,7 +19,7 @@ from ambush_planner import (
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.construction import build_trip_graph
 from ambush_planner.network.passages import pass_nodes
-from ambush_planner.network.shortest_way import ON_LATTICE, taut_length
+from ambush_planner.network.shortest_way import LATTICE_RATIO, taut_length
 from ambush_planner.planning.options import grading
 from ambush_planner.planning.solving import WarmStart
 from ambush_planner.planning.trip import Trip
@@ -106,7 +106,7 @@ def test_the_taut_length_is_that_of_a_string():
     hand = (np.hypot(*(corners[0] - START)) + 1.0 + np.hypot(*(corners[1] - GOAL)))
     for spacing in (2.0, 3.0, 5.0):
         network = network_of(risk_map, planning(1, spacing=spacing))
-        assert network.ground_length == pytest.approx(ON_LATTICE * hand, rel=4e-3)
+        assert network.ground_length == pytest.approx(LATTICE_RATIO * hand, rel=4e-3)
     way = np.array([START, (30.5, 39.0), GOAL])
     assert taut_length(field, way, 0.0) == pytest.approx(hand, rel=4e-3)
 

@@ -14,6 +14,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ambush_planner import (
+    AmbushPlannerWarning,
     GameOptions,
     InvalidOption,
     NetworkOptions,
@@ -27,7 +28,7 @@ from ambush_planner import (
 )
 from ambush_planner.commands import hold
 from ambush_planner.commands.inputs import options_of
-from ambush_planner.game.revaluation import bound_if_held
+from ambush_planner.game.revaluation import bound_if_secured
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.tables import InvalidFeatures
@@ -79,25 +80,26 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour):
     options = StrategyOptions(max_detour=detour)
     before = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5), options)
     strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5,
-                                          held_places=places), options)
+                                          secured_places=places), options)
     ends = [(*network.points[end], 0.5) for end in (network.source, network.target)]
     near = exposed_hits(network, reach, [*ends, *places])
     limits = [(network.lengths, strategy.length_budget)]
     once = value_by_routes(network.alpha, near, routes, limits)
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
     assert strategy.value >= once * (1.0 - 2e-6) - 1e-9
-    assert bound_if_held(before.alone, places) <= once * (1.0 + 1e-6) + 1e-9
-    assert bound_if_held(before.alone, ()) == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
+    assert bound_if_secured(before.as_trip, places) <= once * (1.0 + 1e-6) + 1e-9
+    unchanged = bound_if_secured(before.as_trip, ())
+    assert unchanged == pytest.approx(before.lower_bound, rel=1e-6, abs=1e-9)
 
 
 def test_the_ambusher_of_a_trip_bounds_it_with_more_secured_area(yard):
     strategy = plan_trip(yard, START, GOAL, OPTIONS, stops=[(22.0, 16.0)]).trip
-    assert bound_if_held(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
+    assert bound_if_secured(strategy, ()) == pytest.approx(strategy.lower_bound, rel=1e-6)
     for place in ((15.5, 5.0, 5.0), (22.0, 10.0, 3.0)):  # a cut without this gate is none
-        held = GameOptions(ambush_radius=2.0, secured_radius=6.0, held_places=(place,))
+        held = GameOptions(ambush_radius=2.0, secured_radius=6.0, secured_places=(place,))
         planned = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=held),
                             stops=[(22.0, 16.0)]).trip
-        assert bound_if_held(strategy, (place,)) <= planned.value * (1.0 + 1e-9)
+        assert bound_if_secured(strategy, (place,)) <= planned.value * (1.0 + 1e-9)
 
 
 def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(yard, found):
@@ -106,7 +108,7 @@ def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(
     assert values[2] <= values[1] * (1.0 + SLACK)
     for number, strategy in enumerate(found.strategies):
         places = tuple((*step.xy, RADIUS) for step in found.steps[:number])
-        game = GameOptions(ambush_radius=2.0, secured_radius=6.0, held_places=places)
+        game = GameOptions(ambush_radius=2.0, secured_radius=6.0, secured_places=places)
         plan = plan_trip(yard, START, GOAL, PlanningOptions(network=OPTIONS.network, game=game))
         assert (strategy.value, strategy.lower_bound) == pytest.approx(
             (plan.strategy.value, plan.strategy.lower_bound), rel=1e-12)
@@ -140,7 +142,7 @@ def test_no_candidate_that_the_bounds_rule_out_is_better(yard):
     assert step.candidates == len(CANDIDATES) > step.solved
     held = {name: plan_trip(yard, START, GOAL, PlanningOptions(
         network=OPTIONS.network, game=GameOptions(ambush_radius=2.0, secured_radius=6.0,
-                                                  held_places=((*xy, RADIUS),)))).strategy.value
+                                                  secured_places=((*xy, RADIUS),)))).strategy.value
             for name, xy in CANDIDATES.items()}
     assert held[step.name] <= min(held.values()) * (1.0 + SLACK + 1e-5)
     assert step.others <= min(value for name, value in held.items() if name != step.name)
@@ -160,9 +162,20 @@ def test_ends_early_without_candidates_or_without_a_value(yard):
     (((1.0, 2.0, 0.0),), 'a radius over 0'), (((1.0, np.nan, 1.0),), 'a radius over 0'),
     ('here', 'a radius over 0'),
 ])
-def test_held_places_are_positions_with_a_radius(places, words):
-    with pytest.raises(InvalidOption, match=f'held_places .*{words}'):
-        GameOptions(held_places=places)
+def test_secured_places_are_positions_with_a_radius(places, words):
+    with pytest.raises(InvalidOption, match=f'secured_places .*{words}'):
+        GameOptions(secured_places=places)
+
+
+def test_old_names_of_the_secured_area_still_work(inputs):
+    place = (1.0, 2.0, 3.0)
+    game = GameOptions(held_places=[place])
+    assert game == GameOptions(secured_places=(place,)) and replace(game) == game
+    with pytest.warns(AmbushPlannerWarning, match=r'game\.held_places is now game\.secured_places'):
+        assert options_of(['game.held_places=[[1, 2, 3]]'])[1].game == game
+    done = run_here(hold, inputs / 'map.yaml', '--start', 3, 10, '--goal', 27, 10, '--held', 6,
+                    '--radius', 0.5, '-o', inputs / 'hold.png')
+    assert '--held is now --secured' in done.err and 'radius' in done.err
 
 
 @pytest.fixture
@@ -176,7 +189,7 @@ def inputs(tmp_path, yard):
 
 def run(folder, *options):
     return run_here(hold, folder / 'map.yaml', '--start', 3, 10, '--goal', 27, 10, '--reach', 2,
-                    '--held', 6, '-o', folder / 'hold.png', '--set',
+                    '--secured', 6, '-o', folder / 'hold.png', '--set',
                     'network.spacing=4', 'network.refine=0', *options)
 
 

@@ -89,7 +89,7 @@ def test_sites_are_where_the_ambusher_waits(trip, strategy):
     marker = only(ambush_sites(trip, 'map', 0))
     q = trip.ambusher.q
     assert_near(positions(marker), strategy.network.points[q >= 1e-3 * q.max()])
-    reaching = solve(strategy.network, GameOptions(ambush_radius=1.2)).alone
+    reaching = solve(strategy.network, GameOptions(ambush_radius=1.2)).as_trip
     scale = only(ambush_sites(reaching, 'map', 0)).scale
     assert (scale.x, scale.y) == (2.4, 2.4), 'as wide as the ambush reaches'
 

@@ -37,7 +37,7 @@ def test_value_is_the_loss_at_the_worst_place_on_the_map(seed):
     rng, risk_map = np.random.default_rng(seed), ground(seed)
     plan = plan_trip(risk_map, START, GOAL, OPTIONS)
     paths, shares = plan.paths(5, rng), rng.dirichlet(np.ones(5))
-    found = mixtures_of(risk_map, plan, paths).judged(shares)
+    found = mixtures_of(risk_map, plan, paths).judge(shares)
     # Dense places outside the secured area; nobody is hit whose whole path near them is in it.
     game = plan.strategy.game.options
     cells = rng.uniform(0.0, 1.0, (3000, 2)) * (40.0, 20.0)
@@ -62,7 +62,7 @@ def test_best_shares_are_those_of_a_linear_program_on_all_sites():
     best = mixtures.best(np.zeros(60))
     assert best.shares.sum() == pytest.approx(1.0)
     for _ in range(5):
-        assert best.value <= mixtures.judged(rng.dirichlet(np.ones(60))).value * 1.001
+        assert best.value <= mixtures.judge(rng.dirichlet(np.ones(60))).value * 1.001
     least = least_value(mixtures.losses.toarray())
     assert least * (1.0 - 1e-6) <= best.value <= least * (1.0 + MAX_GAP) * (1.0 + 1e-6)
 

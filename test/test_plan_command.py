@@ -266,7 +266,7 @@ def test_a_wide_gap_saves_no_plan_unless_it_is_accepted(plain, tmp_path, monkeyp
 def test_a_trip_says_what_it_adds_up_and_what_the_first_hit_costs(plain, tmp_path):
     here, there = (-195.0, -50.0), (190.0, 105.0)
     there_and_back = '--start', *here, '--goal', *here, '--via', *there
-    done = run_here(plan, plain, *there_and_back, '--reach', 20, '--held', 40, '--set',
+    done = run_here(plan, plain, *there_and_back, '--reach', 20, '--secured', 40, '--set',
                     'network.refine=0', 'network.target_nodes=200', '--json',
                     '-o', tmp_path / 'r.plan', tmp_path / 'r.png')
     assert done.code == 0, done.err

@@ -20,7 +20,7 @@ from ambush_planner.ros.plan_from_file import read_plan_for_node
 START, GOAL, STOP = (3.0, 10.0), (33.0, 10.0), (12.0, 4.0)
 OPTIONS = PlanningOptions(
     network=plain_options(spacing=3.0, seed=3),
-    game=GameOptions(ambush_radius=2.5, held_places=[(25.0, 15.0, 2.0)]))
+    game=GameOptions(ambush_radius=2.5, secured_places=[(25.0, 15.0, 2.0)]))
 
 
 def ground():

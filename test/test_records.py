@@ -77,11 +77,11 @@ def test_records_of_any_network(data, reach, timed):
             network.lengths)))
     game = GameOptions(ambush_radius=reach)
     strategy = solve(network, game, OPTIONS)
-    check_strategy(strategy.alone)
+    check_strategy(strategy.as_trip)
     for row in frontier(network, game, (1.0, 1.3), (0.1,)):
         check(row)
         assert row.shortest_length == strategy.shortest_length
-    other = revalue(strategy.alone, strategy.network.alpha * rng.uniform(0.5, 2.0, len(
+    other = revalue(strategy.as_trip, strategy.network.alpha * rng.uniform(0.5, 2.0, len(
         strategy.network.alpha)))
     assert 0.0 <= other.bound <= other.value
 

@@ -111,7 +111,7 @@ def test_polygons_and_roads_in_their_order(folder):
 
 def test_roads_open_obstacles_that_forbidden_polygons_close_and_held_ground_costs_nothing(folder):
     layers = [{'terrain': 'dem.tif'}, {'roads': 'roads.gpkg', 'width': 'width', 'passable': True},
-              {'polygons': 'zones.geojson', 'held': True},
+              {'polygons': 'zones.geojson', 'secured': True},
               {'polygons': 'zones.geojson', 'forbidden': 'barred'}]
     steps = [joined(folder, *layers[:k]).risk_map for k in range(1, 5)]
     lines = geopandas.read_file(folder / 'roads.gpkg')
@@ -195,7 +195,7 @@ def test_the_files_that_the_command_writes(folder, tmp_path, capsys):
     layers = [{'terrain': 'dem.tif'}, {'polygons': 'zones.geojson', 'loss': 6},
               {'incidents': 'incidents.gpkg', 'bandwidth': 80, 'half_life': 9},
               {'roads': 'roads.gpkg'},
-              {'polygons': 'zones.geojson', 'held': True}]
+              {'polygons': 'zones.geojson', 'secured': True}]
     (folder / 'layers.yaml').write_text(yaml.safe_dump({'layers': layers}))
     output = tmp_path / 'map.yaml'
     assert cli.main(['risk', str(folder / 'layers.yaml'), '-o', str(output), '--json']) == 0

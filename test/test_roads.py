@@ -188,7 +188,7 @@ def test_plan_judge_hold_and_frontier_play_on_the_same_roads(streets, tmp_path, 
     def numbers(command, *arguments):
         done = run_here(command, tmp_path / 'map.npz', *arguments, '--roads',
                         streets / 'untimed.gpkg', '--start', *on_map(START), '--goal',
-                        *on_map(GOAL), '--reach', 30, '--held', 150, '--json', '--set',
+                        *on_map(GOAL), '--reach', 30, '--secured', 150, '--json', '--set',
                         'network.spacing=60')
         assert done.code == 0, done.err
         return json.loads(done.out)

@@ -81,7 +81,7 @@ def test_python_warns_in_the_sentences_of_the_command(reach, spacing, words, tmp
     done = run_here(plan, tmp_path / 'MAP.NPZ', '--start', *START, '--goal', *GOAL,
                     '--reach', reach, '--set', f'network.spacing={spacing}', 'network.refine=0',
                     '-o', tmp_path / 'R.CSV', tmp_path / 'R.PNG')
-    names = {'--held': 'game.secured_radius', '--detour': 'strategy.max_detour'}  # as typed
+    names = {'--secured': 'game.secured_radius', '--detour': 'strategy.max_detour'}  # as typed
     said_there = re.sub('|'.join(names), lambda found: names[found[0]], done.err)
     assert re.findall(r'Warning: (.*)\.\n', said_there) == texts, done.err
     assert re.search(words, ' '.join(texts))

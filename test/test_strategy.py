@@ -241,7 +241,7 @@ def test_revalue_gives_the_value_on_the_new_losses(reach):
     network = terrain_network(4, cells=14)
     game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
     strategy = solve(network, game, free)
-    trip = strategy.alone
+    trip = strategy.as_trip
     same = revalue(trip, network.alpha)
     assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
     changed = replace(network, alpha=network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))
@@ -258,7 +258,7 @@ def test_a_node_that_comes_below_the_threshold_opens_routes_that_the_old_bound_d
                       0, 3)
     strategy = solve(network, GameOptions(alpha_threshold=5.0))
     assert strategy.lower_bound == pytest.approx(1.0)
-    found = revalue(strategy.alone, np.array([0.0, 1.0, 1.0, 0.0]))
+    found = revalue(strategy.as_trip, np.array([0.0, 1.0, 1.0, 0.0]))
     assert found.value == pytest.approx(1.0) and found.bound <= 0.5
 
 

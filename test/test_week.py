@@ -60,7 +60,7 @@ PLANS = {
     'roads': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=plain_options(
         method='graph', graph=roads(), spacing=3.0))),
     'held': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, game=GameOptions(
-        ambush_radius=2.5, held_places=[(25.0, 15.0, 3.0)]))),
+        ambush_radius=2.5, secured_places=[(25.0, 15.0, 3.0)]))),
 }
 
 

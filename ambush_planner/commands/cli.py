@@ -43,7 +43,7 @@ COMMANDS = {
     'draw': "draw a departure from a plan, with its driver's card, and record it",
     'card': 'write the map, legs and times of a departure for its driver',
     'judge': 'judge trips that were driven: your tracks, or recorded departures',
-    'hold': 'find the places whose holding lowers the value most',
+    'hold': 'find the places to secure that lower the value most',
     'risk': 'make a risk map from an elevation model, or from layers of risk',
     'export': 'write recorded departures to files for a GPS or a GIS',
     'frontier': 'compare length budgets and slacks on a map',
@@ -60,7 +60,7 @@ EXIT_CODES = (
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches: 500, or 0.5km '
               '(default: 0, only the network nodes that he waits at)'),
-    'held': ('game.secured_radius', 'METRES', 'radius of the area that you secure around '
+    'secured': ('game.secured_radius', 'METRES', 'radius of the area that you secure around '
              'start, stops and goal: nobody can wait there (default: the reach and the tube)'),
     'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
                "route's (default: 1.2)"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ambush hold``: which places to hold next."""
+"""``ambush hold``: the next places to secure."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ The console has a line for each place, PICTURE.png the places on the map.
 DETAILS = """\
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
-In a line, value and lower bound are those if this place and those before it are held. The picture
-also has the strategy if all are held.
+In a line, value and lower bound are those if this place and those before it are secured. The
+picture also has the strategy if all are secured.
 It ends at strategy.time_limit (60 s) with the best so far, and complete is false then.
 --json: {"verdict", "picture", "value", "lower_bound", "complete", "places": [{...}]}
 """
@@ -31,15 +31,15 @@ It ends at strategy.time_limit (60 s) with the best so far, and complete is fals
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser(
-        'hold', 'Find the places whose holding lowers the value most.', EPILOG, DETAILS,
+        'hold', 'Find the places to secure that lower the value most.', EPILOG, DETAILS,
         '--start POSITION --goal POSITION --radius METRES [options] -o PICTURE.png',
         ('-k', '--radius', '--candidates'))
     made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
-                      help='number of places to hold (default: 5)')
+                      help='number of places to secure (default: 5)')
     made.add_argument('--radius', type=float, required=True, metavar='METRES',
-                      help='radius of the area that holding a place secures')
+                      help='radius of the area that is secured around each place')
     made.add_argument('--candidates', metavar='PLACES', help='the places that can '
-                      "be held (default: places around the ambusher's sites)")
+                      "be secured (default: places around the ambusher's sites)")
     made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,
                       metavar='PICTURE.png', help='the picture to write')
     return made
@@ -51,7 +51,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     of_map, planning = options_from(arguments)
     risk_map, start, goal, stops = read_ground(arguments, of_map)
 
-    from ..game.strategy import within_slack
+    from ..game.strategy import within_tolerance
     from ..map_figures import as_png
     from ..operations.hold import places_to_hold
     from ..recordings.durable_files import write_all_durably
@@ -74,7 +74,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
                      'to find better ones, name a few --candidates, or allow more time '
                      '(strategy.time_limit)')
     console.result['picture'] = console.secret([output])[0]
-    sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
+    sound = all(within_tolerance(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 
 
@@ -94,7 +94,7 @@ def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
 def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Position,
           risk_map: RiskMap, console: cli.Console) -> None:
     before = found.before
-    console.line(f'{"none held":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
+    console.line(f'{"none secured":<26} {before.value:.4g}, lower bound {before.lower_bound:.4g}')
     for row in rows:
         at = row['name'] or like.like((row['x'], row['y']), risk_map)
         count = row['candidates'] - 1
@@ -104,9 +104,9 @@ def _tell(found: Holding, rows: list[dict[str, Any]], wanted: int, like: Positio
                      f'{row["lower_bound"]:.4g}{others}')
     if len(rows) < wanted and found.complete:
         console.say('No further place: the value is 0, or no candidate remains.')
-    held = found.strategies[-1].game.options.held_places
-    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in held)
-    console.line(f"To plan with them: --set 'game.held_places=[{places}]'")
+    secured = found.strategies[-1].game.options.secured_places
+    places = ','.join(f'[{x:.2f},{y:.2f},{radius:g}]' for x, y, radius in secured)
+    console.line(f"To plan with them: --set 'game.secured_places=[{places}]'")
     console.result = {'value': before.value, 'lower_bound': before.lower_bound, 'places': rows,
                       'complete': found.complete}
 

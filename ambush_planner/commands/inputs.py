@@ -16,7 +16,7 @@ import yaml
 from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
-from ..gone import remedy_for
+from ..gone import present_name, remedy_for
 from ..maps.occupancy import OccupancyOptions
 from ..maps.road_file import ROAD_OPTIONS
 from ..network.construction import NetworkOptions
@@ -40,7 +40,7 @@ _TYPED = {name.partition('.')[2]: f'--set {name}' for name in _TYPES} | {
     name.partition('.')[2]: f'--{word}' for word, (name, *_) in WORDS.items()} | {
     'graph': '--roads'} | {name: f'--{name.replace("_", "-")}' for name in ROAD_OPTIONS}
 _PHRASES = {' (node_crossings)': '', ' (road_column, all_lines_are_roads)': '', ' (two_way)': '',
-            ' (all_lines_are_roads)': '', ' (game.secured_radius -1)': ' (leave out --held)',
+            ' (all_lines_are_roads)': '', ' (game.secured_radius -1)': ' (leave out --secured)',
             ' (strategy.time_limit, or max_planning_time of the node)':
             ' (--set strategy.time_limit=SECONDS)',
             'max_planning_time': 'strategy.time_limit'}
@@ -55,6 +55,9 @@ def options_from(arguments: argparse.Namespace) -> tuple[OccupancyOptions, Plann
     An option can be given once, by its word of ``WORDS`` or with ``--set``. The argument ``--crs``
     takes precedence over ``map.crs``.
     """
+    if arguments.held is not None:
+        present_name('--held')
+        arguments.secured = arguments.held
     given = [f'{name}={_in_metres(value) if unit == "METRES" else value}'
              for word, (name, unit, _) in WORDS.items()
              if (value := getattr(arguments, word)) is not None]
@@ -75,6 +78,7 @@ def options_of(assignments: Iterable[str]) -> tuple[OccupancyOptions, PlanningOp
     changes: dict[str, dict[str, Any]] = {group: {} for group in DEFAULTS}
     for assignment in assignments:
         name, _, text = assignment.partition('=')
+        name = present_name(name) if '.' in name else name
         if name not in _TYPES:
             raise InvalidOption(remedy_for(name) or f'no option {name!r}; {_similar(name)}')
         if not text:

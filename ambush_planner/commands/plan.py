@@ -138,7 +138,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
              draw(plan, arguments.departures if quick else 0, rng))
     drawn = replace(drawn, sources=source_names(arguments))
     if day:
-        slots = () if few else [day.drawn(rng) for _ in drawn.paths]
+        slots = () if few else [day.draw(rng) for _ in drawn.paths]
         drawn = replace(drawn, slots=slots, covered=day.covered)
     _tell(plan, day, arguments, console)
     if few:

@@ -11,8 +11,8 @@ from .cli import WORDS, existing, new_parser
 from .positions import add_crs, add_places, as_typed_places
 
 # Options of all commands that plan which their short help shows.
-COMMON = ('-o', '--start', '--goal', '--via', '--roads', '--reach', '--held', '--detour', '--slack',
-          '--crs', '--set')
+COMMON = ('-o', '--start', '--goal', '--via', '--roads', '--reach', '--secured', '--detour',
+          '--slack', '--crs', '--set')
 HELP = """\
 MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
 A POSITION is X Y in its metres, LAT,LON in decimal degrees, or an MGRS reference.
@@ -68,6 +68,7 @@ def _add_options(parser: argparse.ArgumentParser, hidden: str) -> None:
     for word, (_, unit, text) in WORDS.items():
         parser.add_argument(f'--{word}', metavar=unit,
                             help=argparse.SUPPRESS if word == hidden else text)
+    parser.add_argument('--held', help=argparse.SUPPRESS)  # the old name of --secured
     parser.add_argument('--node-crossings', action='store_true', help='roads also meet where they '
                         'cross or touch without a shared vertex')
     parser.add_argument('--road-column', metavar='COLUMN=VALUES', help='column that says which '

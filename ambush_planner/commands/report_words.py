@@ -94,13 +94,13 @@ def secured(section: Section) -> str:
     """The assumption about the secured area; '' if there is none."""
     radius = section.trip.game.options.secured_distance
     game = section.departures[-1].parameters.planning.game
-    asked, held = game.secured_radius, len(game.held_places)
+    asked, places = game.secured_radius, len(game.secured_places)
     if not radius > 0.0:
         return ''
     margin = ''
     if asked is not None and round(asked - radius) > 0:
         margin = f' ({distance(asked)}, less how far start and goal may move)'
-    more = f', nor at {count(held, "held place")}' if held else ''
+    more = f', nor at {count(places, "secured place")}' if places else ''
     return (f'A secured area is assumed: nobody can wait within {distance(radius)} of '
             f'{ends(len(section.trip.legs) - 1)}{margin}{more}.')
 

@@ -1,24 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ambush game on a network, and its solution.
+"""The ambush game on a network, and its solution. Read the modules in this order.
 
-The game: ``discs`` says which edges enter an ambush's reach, ``game`` who may wait where and what
-it costs, ``budget`` how long routes may be, ``legs`` what a trip's legs are together. ``hits`` are
-what an ambush does to routes, however these are drawn: by a chain or as whole routes
-(``distribution.chain``, ``route_sampler``).
+The game: ``discs`` finds the edges that enter an ambush's disc, ``game`` has the playable edges,
+the sites and their losses, ``budget`` limits the length of routes, and ``legs`` joins the games of
+a trip. ``hits`` computes the probability that a site hits a drawn route, from the routes' law: a
+Markov chain (``distribution.chain``) or a mixture of whole routes. ``route_sampler`` draws routes.
 
-The record: ``ambusher``, ``certificate`` and ``strategy`` hold both sides' strategies, value and
-lower bound, which follow from these alone.
+The records: ``ambusher`` and ``strategy`` hold both sides' mixed strategies; ``certificate``
+computes value and lower bound from these alone.
 
-The solution, ``solver``, has four stages:
+The solution: ``solver`` runs four stages, whose state is ``search``.
 
-1. ``value_search`` finds the least value by a program of ``value``: a maximum flow, potentials of
-   ``faces``, or whole routes; ``search`` is its state.
-2. It adds the sites that cost the program's strategies most, and goes on.
-3. ``distribution_search`` finds the law of greatest entropy within the ``tolerance`` of the bound
-   (``distribution``).
-4. ``proof`` computes value and bound again, by ``certificate``.
+1. Value: ``value_search`` chooses a program (``value``) for the least value and an ambusher's
+   strategy that certifies the bound: a maximum flow (``cut``), potentials of ``faces``
+   (``potential``), column generation over whole routes (``routes``), or an LP in the edges of all
+   legs (``edge_flows``). The paper's LPs (``linear_program``) are another choice.
+2. Sites: violated sites of the map are added to the program, which is solved again (separation).
+3. Distribution: ``distribution_search`` finds the law of greatest entropy within the ``tolerance``
+   of the bound, a Gibbs distribution on an acyclic subnetwork (``distribution``).
+4. Certificate: ``proof`` recomputes value and bound.
 
-Afterwards, ``revaluation`` has values and bounds in other games, ``bottleneck`` the sites that
-decide the value. From outside, use ``solve`` of ``solver``, and ``strategy``: the record and its
-options.
+Afterwards, ``revaluation`` computes values and bounds in other games, and ``bottleneck`` finds the
+sites that decide the value. Other rooms use ``solve`` and the records of ``strategy``.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ambusher's mixed strategy: where to wait, and what the legs' length budgets are worth."""
+"""The ambusher's mixed strategy: probabilities of sites, and prices of the length budgets."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from .game import Game
 
 @dataclass(frozen=True, eq=False)
 class Ambusher:
-    """An ambusher's strategy, which proves a lower bound of the value.
+    """Ambusher's strategy that certifies a lower bound of the value.
 
     Attributes
     ----------
     q : (N,)
-        How likely the ambusher waits at each node; sums to 1.
+        Probability that the ambusher waits at each node; sums to 1.
     prices : (legs,)
-        Decrease of the bound per unit of each leg's length budget.
+        Decrease of the bound per unit of increase of each leg's length budget.
     circulations : (legs,) or empty
-        Closed curves between the faces of each leg's planar network, which prove the bound.
+        Flows between the faces of each leg's planar network, from which the bound follows.
     """
 
     q: FloatArray
@@ -41,34 +41,37 @@ class Ambusher:
         object.__setattr__(self, 'q', q)
 
     def by_leg(self) -> list[Ambusher]:
-        """The ambusher as each leg meets it."""
+        """Return the ambusher's strategy against each leg alone."""
         return [replace(self, prices=(price,), circulations=self.circulations[k : k + 1])
                 for k, price in enumerate(self.prices)]
 
 
 class Ambush(NamedTuple):
-    """An ambusher's probabilities at the known sites (S,), and prices (legs,) of the budgets.
+    """Ambusher's strategy during a search: q (S,) over the known sites, some not yet nodes.
 
-    In ``circulations``, sites are rows.
+    ``prices`` (legs,) are those of the budgets; ``circulations`` number sites by their rows.
     """
 
     q: FloatArray
     prices: FloatArray
     circulations: tuple[Circulation, ...] = ()
 
-    def ambusher(self, game: Game, kept: BoolArray) -> Ambusher:
-        """The same in a game with the ``kept`` ones of all sites (S',), which begin with S."""
-        node = np.full(len(kept), -1)
-        node[kept] = game.sites
-        q = np.append(self.q, np.zeros(len(kept) - len(self.q)))[kept]
+    def ambusher(self, game: Game, used: BoolArray) -> Ambusher:
+        """Return the strategy over the nodes of a game.
+
+        ``used`` (S',) marks which of all sites found, of which these are the first, the game has.
+        """
+        node = np.full(len(used), -1)
+        node[used] = game.sites
+        q = np.append(self.q, np.zeros(len(used) - len(self.q)))[used]
         return Ambusher(at_nodes(game, q), tuple(self.prices.tolist()),
                         tuple(replace(each, site=node[each.site]) for each in self.circulations))
 
 
 def at_nodes(game: Game, shares: FloatArray) -> FloatArray:
-    """q (N,) of an ambusher with ``shares`` (S,) of the sites, scaled to sum to 1.
+    """Return q (N,), in proportion to ``shares`` (S,) of the sites.
 
-    Spread over the sites if no site has a share, and over all nodes if there are no sites.
+    It is uniform over the sites if all shares are 0, and over all nodes if there are no sites.
     """
     q = np.zeros(game.node_count)
     if not len(game.sites):

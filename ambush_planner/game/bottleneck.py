@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sites that decide the value, and how many of them are near the ends."""
+"""The sites that decide the value, and how many of them lie near the ends."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from ..arrays import NEGLIGIBLE, IndexArray, frozen_array
 from .discs import secured_area
 from .strategy import TripStrategy
 
-# Sites are near the source, a stop or the target within this many median edge lengths.
+# Distance from an end within which a site counts as near it, in median edge lengths.
 NEAR_EDGES = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Bottleneck:
-    """The ambusher's sites and where they lie.
+    """The sites (K,) at which the ambusher waits: without a reach or budget, a minimum cut.
 
-    The equilibrium ambusher waits only at ``sites`` (K,): in the plain game, a minimum cut.
     ``near_ends`` counts the sites within ``distance`` [m] of source, stops or target.
     """
 

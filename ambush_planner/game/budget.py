@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The length budget of a leg: a limit on the mean length of its routes, or on their mean time."""
+"""The length budget of a leg: a limit of the mean length of its routes, or of their mean time."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from .game import Game
 
-# Least margin of a budget, as a share of the best route's cost, or of an edge's largest cost if
-# that is 0: if a budget allowed the best routes only, an LP would have no room.
+# Least margin of a budget, as a share of the shortest route's cost, or of the largest edge cost if
+# that is 0. With no margin, an interior point method would have no interior.
 LEAST_MARGIN = 1e-10
-# Relative overrun of a budget that is a solver's rounding.
+# Relative overrun of a budget that counts as a solver's rounding.
 BUDGET_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """A limit on the mean length of the route.
+    """Limit of the mean length of a leg's routes.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ class Budget:
         Where the convoy may drive.
     limit
         Largest mean length [m], or [s] if the network has driving times; ``inf``: no limit. It is
-        raised to leave the least margin.
+        raised if the margin would be below ``LEAST_MARGIN``.
     shortest
-        Length of the shortest way over the ground, or of the whole network's shortest route.
+        Length of the shortest way over the ground, or else of the network's shortest route.
 
     Raises BudgetInfeasible if the best playable route exceeds the limit.
     """
@@ -66,19 +66,20 @@ class Budget:
 
     @property
     def is_limited(self) -> bool:
-        """Return whether there is a limit at all."""
+        """Return whether the limit is finite."""
         return math.isfinite(self.limit)
 
     @cached_property
     def margin(self) -> float:
-        """The limit minus the best playable route's length, > 0."""
+        """The limit minus the length of the shortest playable route, > 0."""
         return self.limit - float(self._to_target[self.game.network.source])
 
     @cached_property
     def reduced_cost(self) -> FloatArray:
-        """Length (M,) that each edge adds to the best way on from its tail; inf if not playable.
+        """Reduced cost (M,) of each edge, >= 0; inf if not playable.
 
-        Along a route they add up to its length minus the best route's, without cancellation.
+        It is the detour made by using the edge and then the shortest way to the target. Along a
+        route, reduced costs sum to its length minus the shortest route's, without cancellation.
         """
         network, to_target = self.game.network, self._to_target
         with np.errstate(invalid='ignore'):
@@ -87,9 +88,9 @@ class Budget:
 
     @cached_property
     def used_margin(self) -> FloatArray:
-        """Share (M,) of the margin that each playable edge takes; 0 without a limit.
+        """Reduced cost (M,) of each playable edge as a share of the margin; 0 without a limit.
 
-        Bounded, so that an LP can compute with it.
+        It is bounded for the sake of LP solvers.
         """
         if not self.is_limited:
             return np.zeros(len(self.game.playable))
@@ -111,10 +112,10 @@ class Budget:
 
 
 def length_budget(game: Game, max_detour: float) -> Budget:
-    """The budget of ``max_detour`` times the shortest way.
+    """Return the budget of ``max_detour`` times the shortest way; raises BudgetInfeasible.
 
-    It is that over the ground (``Network.ground_length``), if known, else on the network, whose
-    shortest route is always within the budget. Raises BudgetInfeasible.
+    That is the way over the ground (``Network.ground_length``) if it is known, else the network's
+    shortest route. The budget always allows the latter.
     """
     network = game.network
     shortest = shortest_length(network)

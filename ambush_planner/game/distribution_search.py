@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The third stage of a solve: the law of greatest entropy within the tolerance of the bound.
 
-One Markov chain for each leg, found in rounds around the program's flow; sites that cost it more
-join. Where no chain is within the tolerance, whole routes are drawn.
+It is a Markov chain for each leg, found in rounds that begin at the program's flow; sites that it
+violates are added. If no chain is within the tolerance, whole routes are drawn.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from .value_search import ROUTES_GAP, find_sites, flow_law
 
 # Share of the tolerance that a program's strategies may use; a distribution may use the rest.
 FLOW_TOLERANCE = 0.5
-# Share of the tolerance beyond which sites join a distribution.
-JOINING = 0.8
-# Least relative growth of the entropy for another round: what a rough one may miss.
+# Share of the tolerance above which a site is violated by a distribution.
+SEPARATION_TOLERANCE = 0.8
+# Least relative growth of the entropy for another round: the accuracy of a rough one.
 GROWTH = DISTRIBUTION.early_accuracy.missing
-# Share of the time until the deadline after which the flow is improved, if no distribution is
-# within the tolerance by then.
+# Share of the remaining time after which rounds end if none is within the tolerance by then; the
+# flow is improved instead.
 ROUNDS_END = 0.8
 
 
 def find_distribution(search: Search) -> Incumbent:
     """Find the law of greatest entropy within the tolerance, or of least value if none is.
 
-    One chain for each leg is within the tolerance without a reach, and mostly with one. Whole
-    routes may cost less, as they remember which sites they met.
+    Without a reach, chains are within the tolerance, and usually also with one. Whole routes can
+    have a lower value, since a chain does not remember which sites it has met.
     """
     best = find_chain(search)
     if best is None:
         law = flow_law(search)
         best = Incumbent(law, largest_product(search.loss, search.entering, law)[0])
-    if best.good or search.legs.no_reentry or search.problem.out_of_time:
+    if best.within_tolerance or search.legs.no_reentry or search.problem.out_of_time:
         return best
     mixture = find_mixture(search)
     # More sites are known now.
@@ -53,21 +53,21 @@ def find_distribution(search: Search) -> Incumbent:
 
 
 def find_chain(search: Search) -> Incumbent | None:
-    """The chains of most entropy within the tolerance, else of least value; None if none is.
+    """Find the chains of greatest entropy within the tolerance, or of least value if none is.
 
-    They are found in rounds around the program's flow; each strategy on the way counts. Rounds can
-    lead to chains from which no distribution keeps the limits of sites that joined: then they begin
-    again.
+    They are found in rounds that begin at the program's flow; every chain on the way counts. Rounds
+    begin again if no distribution near a chain keeps to the caps of added sites. Returns None if no
+    chain keeps the budgets.
     """
     program, distribution, entropy = search.program, _around_flow(search), 0.0
     best: Incumbent | None = None
     known = len(search.loss)  # sites when rounds began
     end, begin = search.deadline, time.monotonic()
     latest = begin + ROUNDS_END * (end - begin)
-    if search.problem.site_search is None:  # otherwise other sites may cost the flow more
+    if search.problem.site_search is None:  # else unknown sites may cost the flow more
         best = search.better(best, distribution)
     for _ in range(ROUNDS):
-        distribution.deadline = end if best and best.good else latest
+        distribution.deadline = end if best and best.within_tolerance else latest
         if time.monotonic() > distribution.deadline:
             search.reason = 'time'
             break
@@ -76,8 +76,8 @@ def find_chain(search: Search) -> Incumbent | None:
         if not feasible and not distribution.rounds:
             break
         if feasible:
-            threshold = ceiling(program.bound, JOINING * search.tolerance)
-            found = search.add_violated_sites(distribution.chain, threshold, ROUTES.apart)
+            threshold = ceiling(program.bound, SEPARATION_TOLERANCE * search.tolerance)
+            found = search.add_violated_sites(distribution.chain, threshold, ROUTES.site_spacing)
         if found:
             distribution.add_sites(found.entering, found.alpha)
             search.solve_program()
@@ -92,17 +92,17 @@ def find_chain(search: Search) -> Incumbent | None:
         best = search.better(best, distribution)
         grew = distribution.entropy > entropy * (1.0 + GROWTH)
         entropy = distribution.entropy
-        kept = best is not None and best.good  # one that was over a budget is not
-        if distribution.good and (distribution.exact or kept and not grew):
+        found_good = best is not None and best.within_tolerance  # and within the budgets
+        if distribution.good and (distribution.no_reentry or found_good and not grew):
             break
-    if best and not best.good:
+    if best and not best.within_tolerance:
         find_sites(search, ROUNDS)
         best = search.better(best, _around_flow(search))
     return best
 
 
 def _cap(search: Search) -> float:
-    """The mean loss that each site may cause, without the tolerance."""
+    """Cap of each site's mean loss, without the tolerance."""
     program = search.program
     if isinstance(program, Routes):
         least = ceiling(program.value, FLOW_TOLERANCE * search.tolerance)
@@ -111,14 +111,14 @@ def _cap(search: Search) -> float:
 
 
 def _around_flow(search: Search) -> RouteDistribution:
-    """The program's flow as the first strategy of rounds."""
+    """Begin a distribution at the program's flow, on an acyclic subnetwork of each leg."""
     legs, bound = search.legs, search.program.bound
     flow = search.program.flow
     safe = legs.avoiding(search.entering) if bound == 0.0 else None
     parts = []
     for k, (game, p) in enumerate(zip(legs.games, legs.split(flow), strict=True)):
-        # Without edges that the budget leaves to less than ``NEGLIGIBLE`` of the routes: so all
-        # best routes for a budget that allows no others are in one order of the nodes.
+        # Drop edges that the budget leaves to less than ``NEGLIGIBLE`` of the routes. So a budget
+        # that allows only shortest routes allows them all in one order of the nodes.
         used = game.least_weights(legs.budgets[k].used_margin) <= 1.0 / NEGLIGIBLE
         game = game.restricted_to(used | (p > 0.0)) or game
         if safe and not p[~safe.games[k].playable].any():  # no route is hit at all
@@ -136,7 +136,7 @@ def _around_flow(search: Search) -> RouteDistribution:
 
 
 def find_mixture(search: Search) -> Incumbent:
-    """Mixtures of whole routes of least value, at the sites that matter for them."""
+    """Find the mixture of whole routes of least value, by column generation and separation."""
     if isinstance(search.program, Potential):
         potential = search.program
         search.earlier.append(potential.ambush)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The faces of a planar two-way network, and which of them the rim of each site's reach touches.
+"""The faces of a planar two-way network, and the faces on the rim of each site's disc.
 
-Edges that join the same two nodes are one link, with a face on either side. A curve through faces
-that separates the source from the target crosses every route. So adding up its crossings of one
-reference route, by their direction, decides whether a closed curve through faces separates them (J.
-H. Reif, Minimum s-t cut of a planar undirected network, SIAM Journal on Computing 12, 1983).
+Edges that join the same two nodes form one link, with a face on either side. A closed curve through
+faces separates the source from the target exactly if its signed crossings of one reference route do
+not sum to 0; then it crosses every route (J. H. Reif, Minimum s-t cut of a planar undirected
+network, SIAM Journal on Computing 12, 1983). The terms are those of docs/theory.md, section 7.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from .route_sampler import shortest_route
 
 
 class Discs(NamedTuple):
-    """The pairs (T,) of a disc and a face on its rim, ordered by disc.
+    """Pairs (T,) of a disc and a face on its rim, ordered by disc.
 
-    The links that enter a disc connect a ``part`` of its rim; the secured area can cut it into
-    several. Parts are numbered from 0, disc by disc. ``offset``, the winding offset, counts the
-    crossings of the reference route along the part. Every route meets the ``unavoidable`` discs
-    (K,), which surround one end.
+    The rim of a disc falls into parts that the links entering it connect: usually one, several if
+    the secured area cuts the disc. ``part`` numbers them from 0, disc by disc. ``offset`` is the
+    winding offset: the signed crossings of the reference route on the way along the part.
+    ``unavoidable`` (K,) marks discs around an end, which hit every route.
     """
 
     face: IndexArray
@@ -39,16 +39,16 @@ class Discs(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Faces 0..count-1 of a network of K links.
+    """Faces 0..count-1 of a leg's playable network with K links.
 
     Attributes
     ----------
     link : (M,)
-        The link of each edge; -1 where it is not playable.
+        The link of each edge; -1 if it is not playable.
     left, right : (K,)
         Faces on either side of each link, seen from its lower node.
     crossed : (K,)
-        1 or -1 where the reference route drives the link from or to its lower node, else 0.
+        1 or -1 if the reference route drives the link from or to its lower node, else 0.
     """
 
     game: Game
@@ -59,7 +59,7 @@ class Faces:
     crossed: IndexArray
 
     def discs(self, entering: csr_matrix) -> Discs:
-        """The faces on the rims of discs that the edges of the rows ``entering`` (K, M) enter."""
+        """Find the faces on the rims of discs, given the edges that enter each as rows (K, M)."""
         links, edge = len(self.left), np.flatnonzero(self.link >= 0)
         places = edge, self.link[edge]
         of_edges = csr_matrix((np.ones(len(edge), bool), places), (len(self.link), links))
@@ -87,7 +87,7 @@ class Faces:
         return bool(np.allclose(of_link[self.link[edge]], cost[edge], rtol=ROUNDING, atol=0.0))
 
     def flow(self, potential: FloatArray) -> FloatArray:
-        """The flow (M,) of size 1 that a potential (count,) of the faces stands for."""
+        """Return the flow (M,) of size 1 with a given potential (count,) of the faces."""
         flow = self.crossed + potential[self.left] - potential[self.right]
         network = self.game.network
         forward = np.where(network.tails < network.heads, 1.0, -1.0)
@@ -95,10 +95,11 @@ class Faces:
 
     def _winding_offsets(self, link: IndexArray, left: IndexArray, right: IndexArray,
                          part: IndexArray) -> tuple[IndexArray, IndexArray]:
-        """For each pair (T,) of a disc and a face, the crossings of the route on the way there.
+        """Winding offset (T,) of each pair, and pairs on rims for which it is not defined.
 
-        The way goes along the rim, from the first pair of the ``part`` (T,), across links (K,) with
-        the pairs ``left`` and ``right`` of them. Also pairs of the rims that separate the ends.
+        Offsets count from the first pair of each ``part`` (T,), along a tree of links (K,) between
+        the pairs ``left`` and ``right``. On a rim around an end they depend on the way taken: they
+        disagree across some link.
         """
         size = len(part)
         crossing = np.bincount(part[left], self.crossed[link] != 0)[part[left]] > 0.0
@@ -109,19 +110,20 @@ class Faces:
         roots = np.unique(part, return_index=True)[1]
         _, tree, _ = dijkstra(joined, indices=roots, min_only=True, return_predecessors=True,
                               unweighted=True)
-        here = np.flatnonzero(tree >= 0)
+        reached = np.flatnonzero(tree >= 0)
         predecessor = np.where(tree >= 0, tree, np.arange(size))
-        step, which = np.unique(tail * size + head, return_index=True)
+        step, index = np.unique(tail * size + head, return_index=True)
         offset = np.zeros(size, dtype=np.int64)
-        offset[here] = gain[which[np.searchsorted(step, predecessor[here] * size + here)]]
-        while offset[predecessor].any():  # each round doubles the part of the way that is added up
+        offset[reached] = gain[index[np.searchsorted(step,
+                                                     predecessor[reached] * size + reached)]]
+        while offset[predecessor].any():  # each round doubles the length of way that is summed
             offset, predecessor = offset + offset[predecessor], predecessor[predecessor]
         return offset, tail[offset[head] != offset[tail] + gain]
 
 
 @dataclass(frozen=True, eq=False)
 class Circulation:
-    """Flows between the faces of a leg.
+    """Flow between the faces of a leg that balances at every face and every part of a rim.
 
     Attributes
     ----------
@@ -138,30 +140,30 @@ class Circulation:
 
 
 def make_faces(game: Game) -> Faces | None:
-    """The faces of the playable network; None if links cross or are one-way."""
+    """Find the faces of the playable network; None if links cross or are one-way."""
     network, n, edges = game.network, game.node_count, np.flatnonzero(game.playable)
     route = shortest_route(network, edges)
     ends = np.sort(network.edges[edges], axis=1)
     key, link = np.unique(ends[:, 0] * n + ends[:, 1], return_inverse=True)
     low, high = np.divmod(key, n)
     count, link = len(key), link.ravel()
-    terminals = route[0], route[-1]  # no edge enters the one or leaves the other
+    terminals = route[0], route[-1]  # their links are one-way: no edge enters the source
     at_end = np.isin(low, terminals) | np.isin(high, terminals)
     if not (at_end | (np.bincount(link) == 2)).all():
         return None
-    # Half-edges: links from their lower nodes, then the same from their higher ones.
+    # Half-edges: each link from its lower node, then each from its higher node.
     tail, head = np.concatenate((low, high)), np.concatenate((high, low))
     twin = np.roll(np.arange(2 * count), count)
     x, y = network.points.T
     order = np.lexsort((np.arctan2(y[head] - y[tail], x[head] - x[tail]), tail))
     place = np.argsort(order)
     first = np.searchsorted(tail[order], np.arange(n + 1))
-    # A face lies to the left: at the head, turn to the next half-edge clockwise from the twin.
+    # A half-edge's face lies to its left: it goes on with the next half-edge clockwise of its twin.
     turn = place[twin] - 1
     turn = np.where(turn < first[head], first[head + 1] - 1, turn)
     following = csr_matrix((np.ones(2 * count), order[turn], np.arange(2 * count + 1)))
     faces, face = connected_components(following, directed=False)
-    if len(np.unique(tail)) - count + faces != 2:  # Euler's formula, the network is connected
+    if len(np.unique(tail)) - count + faces != 2:  # Euler's formula for connected planar graphs
         return None
     driven = np.searchsorted(key, np.minimum(route[:-1], route[1:]) * n
                              + np.maximum(route[:-1], route[1:]))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ambush game on a network: playable edges, ambush sites and losses.
 
-Letters follow the paper: p (M,) expected uses of each edge, x (N,) visits, q (N,) the ambusher's
-probabilities, z the value, alpha the losses, ``A p = b`` the conservation of flow, ``D`` the
-losses by site and edge: row j of ``D p`` is the mean loss of an ambush at site j (equation 1).
+Letters are the paper's: p (M,) expected uses of each edge, x (N,) visits of each node, q (N,) the
+ambusher's probabilities, z the value, alpha (N,) the losses, ``A p = b`` conservation of flow, and
+``D`` the loss matrix: row j of ``D p`` is the mean loss that an ambush at site j causes (its
+equation 1).
 """
 
 from __future__ import annotations
@@ -24,39 +25,39 @@ from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import allowed, check_options, length
 from .discs import ExposedEdges, SecuredArea, secured_area
 
-# Position and radius (x, y, radius) [m] of a disc of a secured area.
+# A disc of the secured area (x, y, radius) [m].
 SecuredPlace = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
 class GameOptions:
-    """The ambusher's abilities, and where the convoy may drive.
+    """Rules of the game: the ambusher's abilities, and the nodes that the convoy avoids.
 
     Parameters
     ----------
     ambush_radius
-        An ambush hits every route that passes within this distance of its site [m]; 0, and no
-        tube: routes through the site's node.
+        Reach of an ambush: it hits every route that passes within this distance of its site [m].
+        0: it hits routes through the site's node.
     secured_radius
         Radius of the secured area around the source, each stop and the target [m]: nobody can wait
-        there, and with a reach nobody who drives there is hit. None: as far as the reach and the
-        tube, an assumption; also -1.
-    held_places
+        there, and with a reach nobody who drives there is hit. None, or -1: the reach plus the
+        tube, which is an assumption.
+    secured_places
         More of the secured area: discs (x, y, radius) [m] in world coordinates, such as a
         checkpoint on the way. As around the ends, nobody can wait there, and with a reach nobody
-        who drives there is hit.
+        who drives there is hit. The old name ``held_places`` works until the next release.
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
     ambush_in_obstacles
-        With a reach, the ambusher can also hide in obstacle cells: a plan adds them as nodes
+        With a reach, the ambusher can also hide in obstacle cells; a plan adds them as nodes
         without edges.
     tube
-        How far the driven path may leave the drawn route [m]. It adds to the reach, and the secured
-        area protects only routes whose whole tube is in it. A plan sets it.
+        Largest distance of the driven path from the drawn route [m]. It adds to the reach, and the
+        secured area protects only routes whose whole tube lies in it. A plan sets it.
     widened
-        How far from a site the ambusher may wait instead [m]. It adds to the reach, so that the
-        sites stand for all places around them. A plan sets it.
+        Largest distance of a place from the site that stands for it [m]. It adds to the reach, so
+        that finitely many sites cover all places. A plan sets it.
 
     Raises
     ------
@@ -70,15 +71,17 @@ class GameOptions:
     ambush_in_obstacles: bool = allowed(False)
     tube: float = length()
     widened: float = length()
-    held_places: tuple[SecuredPlace, ...] = ()
+    secured_places: tuple[SecuredPlace, ...] = ()
+    held_places: InitVar[Iterable[Iterable[float]] | None] = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, held_places: Iterable[Iterable[float]] | None) -> None:
         check_options(self)
-        object.__setattr__(self, 'held_places', _checked_places(self.held_places))
+        given = self.secured_places if held_places is None else held_places
+        object.__setattr__(self, 'secured_places', _checked_places(given))
 
     @property
     def reach(self) -> float:
-        """Distance of a site from a drawn route within which an ambush can hit the path [m]."""
+        """Distance from a drawn route within which a site hits the driven path [m]."""
         return self.ambush_radius + self.tube + self.widened
 
     @property
@@ -90,24 +93,25 @@ class GameOptions:
 
 
 def _checked_places(given: Iterable[Iterable[float]]) -> tuple[SecuredPlace, ...]:
-    """Return ``held_places`` as tuples of numbers; raises InvalidOption."""
+    """Return ``secured_places`` as tuples of numbers; raises InvalidOption."""
     try:
         places = tuple((float(x), float(y), float(radius)) for x, y, radius in given)
         good = all(math.isfinite(sum(place)) and place[2] > 0.0 for place in places)
     except (TypeError, ValueError):
         good = False
     if not good:
-        raise InvalidOption(f'held_places must each be x, y and a radius over 0 [m], got {given!r}')
+        raise InvalidOption('secured_places must each be x, y and a radius over 0 [m], got '
+                            f'{given!r}')
     return places
 
 
 @dataclass(frozen=True, eq=False)
 class Game:
-    """One leg: its network with the rows of its ambush game.
+    """Ambush game of one leg: a network with its playable edges, sites and losses.
 
-    ``playable`` (M,) marks the edges on some route that avoids forbidden nodes; ``loss`` (N,) is
-    alpha where an ambush is possible, else 0. ``known_rows`` are those of ``entering`` if another
-    game's give them: with a reach, they are slow to find.
+    ``playable`` (M,) marks the edges that lie on some route without forbidden nodes. ``loss`` (N,)
+    is alpha if an ambush is possible at the node, else 0. ``known_rows`` initialises ``entering``,
+    which is slow to compute with a reach.
     """
 
     network: Network
@@ -119,7 +123,7 @@ class Game:
 
     def __post_init__(self, known_rows: csr_matrix | None) -> None:
         if known_rows is not None:
-            vars(self)['entering'] = known_rows  # where the cached property looks first
+            vars(self)['entering'] = known_rows  # a cached property looks there first
 
     @property
     def reach(self) -> float:
@@ -128,7 +132,7 @@ class Game:
 
     @property
     def no_reentry(self) -> bool:
-        """Return whether simple routes enter a site's reach at most once, so entries are hits."""
+        """Return whether simple routes enter a reach at most once, so that entries are hits."""
         return self.reach == 0.0
 
     @property
@@ -160,7 +164,7 @@ class Game:
     def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
         """The parts of edges, by default all, outside the secured area."""
         network = self.network
-        return ExposedEdges(network.points, network.edges, self.secured.shrunk(self.options.tube),
+        return ExposedEdges(network.points, network.edges, self.secured.shrink(self.options.tube),
                             np.array([network.source]), edges)
 
     def visits(self, p: FloatArray) -> FloatArray:
@@ -186,24 +190,24 @@ class Game:
         return np.where(self.playable, first + weights + rest, np.inf)
 
     def restricted_to(self, edges: BoolArray) -> Game | None:
-        """The game on the routes that use only ``edges`` (M,); None if no route does."""
+        """Return the game on routes that use only ``edges`` (M,); None if there are none."""
         network, usable = self.network, self.playable & edges
         useful = on_some_route(network.edges[usable], self.node_count, network.source,
                                network.target)
         if not useful[network.source]:
             return None
-        kept = usable & useful[network.tails] & useful[network.heads]
-        return replace(self, playable=frozen_array(kept, np.bool_),
+        playable = usable & useful[network.tails] & useful[network.heads]
+        return replace(self, playable=frozen_array(playable, np.bool_),
                        known_rows=vars(self).get('entering'))
 
     def avoiding(self, entering: csr_matrix) -> Game | None:
-        """The game on the edges that enter none of some discs, as rows (K, M); None if no route."""
+        """Return the game without edges that enter discs, rows (K, M); None if it has no route."""
         return self.restricted_to(np.asarray(entering.getnnz(axis=0) == 0))
 
     def with_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> Game:
-        """The game with more sites: nodes (K,) without edges, and the edges that enter their discs.
+        """Return the game with sites added, as nodes (K,) without edges.
 
-        ``entering`` has rows (K, M).
+        ``entering`` (K, M) has the edges that enter their discs.
         """
         if not len(loss):
             return self
@@ -213,27 +217,27 @@ class Game:
                        loss=frozen_array(np.append(self.loss, loss), np.float64))
 
     def without_sites(self, nodes: BoolArray) -> Game:
-        """The game in which nobody can wait at ``nodes`` (N,)."""
+        """Return the game in which nobody can wait at ``nodes`` (N,)."""
         return replace(self, loss=frozen_array(np.where(nodes, 0.0, self.loss), np.float64))
 
 
 def make_game(network: Network, options: GameOptions) -> Game:
-    """Apply the options to the network of a single leg; raises as ``make_games``."""
+    """Make the game of a single leg; raises as ``make_games``."""
     return make_games((network,), options)[0]
 
 
 def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game, ...]:
-    """Apply the options to the networks of a trip's legs, which have the same nodes.
+    """Make the games of a trip's legs, whose networks have the same nodes.
 
-    Secured areas and sites are the same for all legs. Raises NoRoute if no route leads from the
-    source of a leg to its target, perhaps because of ``alpha_threshold``.
+    All legs have the same secured area and sites. Raises NoRoute if no playable route leads from
+    the source of a leg to its target.
     """
     ends = np.unique(np.concatenate([each.points[[each.source, each.target]]
                                      for each in networks]), axis=0)
     points, alpha = networks[0].points, networks[0].alpha
-    secured = secured_area(ends, options.secured_distance, options.held_places)
-    # Sites stand for the places around them.
-    loss = frozen_array(np.where(secured.shrunk(options.widened).covers(points), 0.0, alpha),
+    secured = secured_area(ends, options.secured_distance, options.secured_places)
+    # A site stands for all places within ``widened``: it is dropped only if all are secured.
+    loss = frozen_array(np.where(secured.shrink(options.widened).covers(points), 0.0, alpha),
                         np.float64)
     games = tuple(_leg_game(each, options, loss, secured) for each in networks)
     if options.reach > 0.0:

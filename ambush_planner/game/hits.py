@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Expected hits of ambushes, each route counted once however often it comes back to a site.
+"""Expected hits of ambushes: a site hits a route at most once, however often it re-enters.
 
-The rows of the game count how often a route enters a disc. Entries are linear in p and bound the
-hits from above; the hits follow from how routes are drawn: from a Markov chain, or from a mixture
-of whole routes. If p has cycles, its routes are not known, and every entry counts.
+Rows of the game count entries into a site's reach. Entries are linear in p and bound the hits from
+above. The hits depend on the probability law of the routes: a Markov chain, or a mixture of whole
+routes. If p has cycles, its law is not known, and entries count as hits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .legs import Legs
 
 
 class Law(Protocol):
-    """Return the law by which routes are drawn."""
+    """Probability law of the drawn routes."""
 
     def meets(self, rows: csr_matrix) -> FloatArray:
         """Expected hits (K,) by sites whose discs are entered by the edges of ``rows`` (K, M)."""
@@ -34,8 +34,8 @@ class Law(Protocol):
         """Expected uses of each of the network's ``edges``."""
 
 
-class Entries:
-    """A strategy p (M,) with cycles: every entry counts as a hit, which is an upper bound."""
+class EntryLaw:
+    """Stand-in for the law of a p (M,) with cycles: every entry counts as a hit."""
 
     def __init__(self, p: FloatArray) -> None:
         self._p = p
@@ -52,18 +52,18 @@ class Entries:
 
 
 class LegLaws:
-    """The laws of a trip's legs, whose routes are drawn one by one."""
+    """Joint law of the routes of a trip's legs, which are drawn independently."""
 
     def __init__(self, legs: Legs, laws: Sequence[Law]) -> None:
         self._legs, self._laws = legs, laws
 
     def meets(self, rows: csr_matrix) -> FloatArray:
-        """Expected hits (K,), added up over the legs, by the ``rows`` (K, M)."""
-        return np.asarray(sum(law.meets(own) for law, own in self._by_leg(rows)))
+        """Expected hits (K,) on all legs by sites with ``rows`` (K, M)."""
+        return np.asarray(sum(law.meets(leg_rows) for law, leg_rows in self._by_leg(rows)))
 
     def meets_at_most(self, rows: csr_matrix) -> FloatArray:
         """An upper bound (K,) of ``meets`` that is fast to find."""
-        return np.asarray(sum(law.meets_at_most(own) for law, own in self._by_leg(rows)))
+        return np.asarray(sum(law.meets_at_most(leg_rows) for law, leg_rows in self._by_leg(rows)))
 
     def uses(self, edges: int) -> FloatArray:
         """Expected uses (M,) of the edges of all legs."""
@@ -76,32 +76,33 @@ class LegLaws:
 
 
 def joint_law(legs: Legs, laws: Sequence[Law]) -> Law:
-    """The law of all legs."""
+    """Return the joint law of the routes of all legs."""
     return laws[0] if len(laws) == 1 else LegLaws(legs, laws)
 
 
 def law_of(game: Game, p: FloatArray) -> Law:
-    """The Markov chain of p (M,) if it is acyclic, else its entries."""
-    return chain_of(game.network, p) if is_acyclic(game.network, p) else Entries(p)
+    """Return the Markov chain of p (M,) if it is acyclic, else its entries as hits."""
+    return chain_of(game.network, p) if is_acyclic(game.network, p) else EntryLaw(p)
 
 
 def largest_product(loss: FloatArray, rows: csr_matrix, law: Law) -> tuple[float, int]:
-    """The largest of losses (K,) times expected hits by the ``rows`` (K, M), and its index.
+    """Return the largest loss (K,) times expected hits by the ``rows`` (K, M), and its index.
 
-    The bounds of the hits say which of them need to be computed.
+    The index is -1 if none is positive. Hits are computed in the order of their upper bounds, only
+    as far as they can exceed the largest found.
     """
     bounds = loss * law.meets_at_most(rows)
     order = np.argsort(-bounds, kind='stable')
-    worst, value, done, some = -1, 0.0, 0, 1
+    worst, value, done, size = -1, 0.0, 0, 1
     while done < len(order) and bounds[order[done]] > value:
-        own = order[done : done + some]
-        losses = loss[own] * law.meets(rows[own])
+        batch = order[done : done + size]
+        losses = loss[batch] * law.meets(rows[batch])
         if losses.max() > value:
-            value, worst = float(losses.max()), int(own[losses.argmax()])
-        done, some = done + some, 2 * some
+            value, worst = float(losses.max()), int(batch[losses.argmax()])
+        done, size = done + size, 2 * size
     return value, worst
 
 
 def entry_value(game: Game, p: FloatArray) -> float:
-    """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
+    """Return the value of p (M,) if every entry into a site's reach counts as a hit."""
     return float((game.loss[game.sites] * (game.entering @ p)).max(initial=0.0))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last stage of a solve: strategies with their value at any place and a bound that is proved.
+"""The last stage of a solve: strategies with their certificates.
 
-Both are computed again from the strategies and the ambusher alone (``certificate``).
+Value and bound are recomputed from both sides' strategies alone (``certificate``).
 """
 
 from __future__ import annotations
@@ -23,27 +23,28 @@ from .tolerance import CERTIFICATE_TOLERANCE, Reason, ceiling, within
 
 
 def certify(search: Search, best: Incumbent) -> TripStrategy:
-    """The strategies of an incumbent, with their value at any place and a bound that is proved.
+    """Certify the strategies of an incumbent: their value everywhere, and the best lower bound.
 
-    In games with the sites that matter for it or for its bound.
+    Their games have the network's nodes as sites, and the added ones that the value or a bound
+    depends on.
     """
     if isinstance(best.law, MarkovChain):
         best = replace(best, law=best.law.without_rare())
-    best = search.at_any_site(best)
+    best = search.value_everywhere(best)
     legs, count = search.legs, len(search.loss)
-    own, ambushes = np.arange(count) < len(legs.loss), [*search.earlier, search.program.ambush]
-    kept = own.copy()
-    for each in ambushes:
-        kept[np.flatnonzero(each.q)] = True
-        for circulation in each.circulations:
-            kept[circulation.site] = True
+    of_nodes, ambushes = np.arange(count) < len(legs.loss), [*search.earlier, search.program.ambush]
+    needed = of_nodes.copy()
+    for ambush in ambushes:
+        needed[np.flatnonzero(ambush.q)] = True
+        for circulation in ambush.circulations:
+            needed[circulation.site] = True
     if best.worst >= 0:
-        kept[best.worst] = True
-    added = np.flatnonzero(kept & ~own)
+        needed[best.worst] = True
+    added = np.flatnonzero(needed & ~of_nodes)
     legs = legs.with_sites(search.points[added], search.loss[added],
                            csr_matrix(search.entering[added]))
-    ambusher, bounds = _best_proof(search, legs, best, [each.ambusher(legs.games[0], kept)
-                                                        for each in ambushes])
+    ambusher, bounds = _best_proof(search, legs, best, [ambush.ambusher(legs.games[0], needed)
+                                                        for ambush in ambushes])
     law, mixtures = best.law, list[RouteMixture | None]([None] * len(legs.games))
     if isinstance(law, RouteMixture):
         mixtures = [law.of_leg(k, int(first)) for k, first in enumerate(legs.first[:-1])]
@@ -52,18 +53,18 @@ def certify(search: Search, best: Incumbent) -> TripStrategy:
     reason: Reason = 'complete'
     if not within(found.value, found.lower_bound, search.problem.tolerance + CERTIFICATE_TOLERANCE):
         reason = 'time' if search.problem.out_of_time else search.reason
-    alone = best.entropy_bound if len(legs.games) == 1 else np.nan
-    strategies = tuple(replace(leg, reason=reason, entropy_bound=alone) for leg in found.legs)
+    leg_bound = best.entropy_bound if len(legs.games) == 1 else np.nan
+    strategies = tuple(replace(leg, reason=reason, entropy_bound=leg_bound) for leg in found.legs)
     return replace(found, legs=strategies, reason=reason, entropy_bound=best.entropy_bound)
 
 
 def _best_proof(search: Search, legs: Legs, best: Incumbent,
                 ambushers: list[Ambusher]) -> tuple[Ambusher, FloatArray]:
-    """The ambusher who proves most, and the legs' bounds; those within the tolerance will do."""
+    """Best certified bounds (legs,) and their ambusher; stops early within the tolerance."""
     target, proved = best.value / ceiling(1.0, search.tolerance), []
     for ambusher in ambushers:
         bounds = np.zeros(len(legs.games))
-        if search.program.bound > 0.0:  # else a search for what is proved can take minutes
+        if search.program.bound > 0.0:  # else the search for a bound can take minutes
             targets = _leg_targets(legs, best.law, ambusher, target)
             bounds = lower_bounds(legs, ambusher, search.problem.certificate_deadline, targets)
         proved.append((ambusher, bounds))
@@ -73,10 +74,10 @@ def _best_proof(search: Search, legs: Legs, best: Incumbent,
 
 
 def _leg_targets(legs: Legs, law: Law, ambusher: Ambusher, target: float) -> FloatArray:
-    """The bound to prove of each leg (legs,): they add up to ``target`` if that is possible.
+    """Bound to prove for each leg (legs,), so that the sum is ``target``.
 
-    What the leg's own strategy costs against the ambusher, less its share of what need not be
-    proved.
+    A leg can prove at most the cost of its own strategy against the ambusher. What all legs
+    together can prove beyond the target is subtracted from them in proportion to their hits.
     """
     if len(legs.games) == 1:
         return np.array([target])
@@ -89,9 +90,9 @@ def _leg_targets(legs: Legs, law: Law, ambusher: Ambusher, target: float) -> Flo
         of_leg = csr_matrix(entering.multiply(leg == k))
         of_leg.eliminate_zeros()  # the law asks which entries there are
         hits.append(float(site_prices[rows] @ law.meets(of_leg)))
-    paid = [price * (float(p[p > 0.0] @ budget.reduced_cost[p > 0.0]) - budget.margin)
-            if price > 0.0 else 0.0
-            for price, budget, p in zip(ambusher.prices, legs.budgets, uses, strict=True)]
-    costs, shares = np.add(hits, paid), np.array(hits)
-    spare = max(float(costs.sum()) - target, 0.0)
-    return np.asarray(costs - spare * shares / max(float(shares.sum()), np.finfo(float).tiny))
+    overruns = [price * (float(p[p > 0.0] @ budget.reduced_cost[p > 0.0]) - budget.margin)
+                if price > 0.0 else 0.0
+                for price, budget, p in zip(ambusher.prices, legs.budgets, uses, strict=True)]
+    costs, shares = np.add(hits, overruns), np.array(hits)
+    surplus = max(float(costs.sum()) - target, 0.0)
+    return np.asarray(costs - surplus * shares / max(float(shares.sum()), np.finfo(float).tiny))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random routes from a strategy; routes as edges and as strategies."""
+"""Sampling of routes from a strategy, and routes as edges or as strategies of their own."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from .game import Game
 
 
 class RouteSampler:
-    """Draws routes: at each node, the next edge has probability p_ij / x_i.
+    """Sampler that draws the next edge at each node with probability p_ij / x_i.
 
-    If p is acyclic, a drawn route uses each edge with exactly the published probability. If p has
-    cycles, loops are erased as they close (loop-erased random walk), so that routes are simple.
+    If p is acyclic, a drawn route uses each edge with exactly its probability p. If p has cycles,
+    loops are erased as they close (loop-erased random walk), so routes are simple.
     """
 
     def __init__(self, network: Network, p: FloatArray) -> None:
@@ -29,7 +29,7 @@ class RouteSampler:
         order = used[np.argsort(network.tails[used], kind='stable')]
         self._network, self._used = network, order
         self._source, self._target = network.source, network.target
-        # A step reads only a few numbers, which is ten times faster from lists than from arrays.
+        # A step reads few numbers, which is ten times faster from lists than from arrays.
         self._heads = network.heads[order].tolist()
         tails = network.tails[order]
         self._first = np.searchsorted(tails, np.arange(len(network.points) + 1)).tolist()
@@ -40,7 +40,7 @@ class RouteSampler:
         self.acyclic = is_acyclic(network, p)
 
     def draw(self, rng: np.random.Generator) -> IndexArray:
-        """Return one route (K,): node indices, source first, target last, none twice."""
+        """Draw a route (K,): node indices, source first, target last, none twice."""
         route, position = [self._source], {self._source: 0}
         while route[-1] != self._target:
             first, last = self._first[route[-1]], self._first[route[-1] + 1] - 1
@@ -56,7 +56,7 @@ class RouteSampler:
         return np.array(route, dtype=np.int64)
 
     def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
-        """Return ``n`` routes; if p is acyclic, all of them advance together."""
+        """Draw ``n`` routes; if p is acyclic, all advance together."""
         if n == 0 or not self.acyclic:
             return [self.draw(rng) for _ in range(n)]
         route, edge = self.draw_steps(n, rng)
@@ -65,9 +65,9 @@ class RouteSampler:
         return np.split(nodes[order], np.cumsum(np.bincount(route, minlength=n) + 1)[:-1])
 
     def draw_steps(self, n: int, rng: np.random.Generator) -> tuple[IndexArray, IndexArray]:
-        """Draw ``n`` routes from an acyclic p: the route (0..n - 1) and the edge of each step.
+        """Draw ``n`` routes from an acyclic p as steps (S,): the route 0..n - 1 and edge of each.
 
-        The steps (S,) of a route are in driving order.
+        The steps of a route are in driving order.
         """
         heads, first = self._network.heads, np.array(self._first)
         node, route = np.full(n, self._source), np.arange(n)
@@ -78,15 +78,15 @@ class RouteSampler:
             routes.append(route)
             edges.append(self._used[step])
             node = heads[edges[-1]]
-            going = node != self._target
-            node, route = node[going], route[going]
+            unfinished = node != self._target
+            node, route = node[unfinished], route[unfinished]
         return np.concatenate(routes), np.concatenate(edges)
 
     @cached_property
     def _ends(self) -> FloatArray:
-        """The node of each step plus its cumulative share there, at which the step ends.
+        """Upper end of each step's interval: its node's number plus its cumulative share there.
 
-        So shares are rounded to 1e-10 if there are a million nodes.
+        One sorted array serves all nodes; with a million of them, shares are rounded to 1e-10.
         """
         first, steps = np.array(self._first), np.array(self._steps)
         tails = self._network.tails[self._used]
@@ -94,7 +94,7 @@ class RouteSampler:
 
 
 class MixtureSampler:
-    """Draws whole routes of one leg from a mixture of them."""
+    """Sampler of whole routes of one leg from a mixture."""
 
     acyclic = True
 
@@ -104,15 +104,15 @@ class MixtureSampler:
         self._edges, self._ends = mixture.routes, np.cumsum(mixture.shares)
 
     def draw(self, rng: np.random.Generator) -> IndexArray:
-        """Return one route (K,): node indices, source first, target last."""
+        """Draw a route (K,): node indices, source first, target last."""
         return self.draw_many(1, rng)[0]
 
     def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
-        """Return ``n`` routes."""
+        """Draw ``n`` routes."""
         return [self._nodes[k] for k in self._drawn(n, rng)]
 
     def draw_steps(self, n: int, rng: np.random.Generator) -> tuple[IndexArray, IndexArray]:
-        """Draw ``n`` routes: the route (0..n - 1) and the edge of each step (S,)."""
+        """Draw ``n`` routes as steps (S,): the route 0..n - 1 and the edge of each."""
         edges = [self._edges[k] for k in self._drawn(n, rng)]
         return np.repeat(np.arange(n), list(map(len, edges))), np.concatenate(edges)
 
@@ -122,38 +122,41 @@ class MixtureSampler:
 
 
 def route_edges(network: Network, route: IndexArray) -> IndexArray:
-    """The edges (K - 1,) along a route (K,), by their indices; -1: there is none."""
+    """Return the edges (K - 1,) along a route (K,) of nodes; -1: there is none."""
     return network.edges_between(route[:-1], route[1:])
 
 
 def shortest_route(network: Network, edge: IndexArray,
                    cost: FloatArray | None = None) -> IndexArray:
-    """Nodes (K,) of a route of least ``cost`` (M,), by default travel cost, on some edges (m,)."""
+    """Return the nodes (K,) of the cheapest route on the edges ``edge`` (m,).
+
+    ``cost`` (M,) is by default the travel cost.
+    """
     cost = network.travel_costs if cost is None else cost
     return shortest_path(network.edges[edge], cost[edge], len(network.points),
                          network.source, network.target)
 
 
 def route_strategy(network: Network, route: IndexArray) -> FloatArray:
-    """The strategy p (M,) of always driving ``route`` (K,)."""
+    """Return the strategy p (M,) of always driving ``route`` (K,)."""
     p = np.zeros(len(network.edges))
     p[route_edges(network, route)] = 1.0
     return p
 
 
 def shortest_route_strategy(game: Game, cost: FloatArray | None = None) -> FloatArray:
-    """The strategy p (M,) of always driving the playable ``shortest_route``."""
+    """Return the strategy p (M,) of always driving the shortest playable route."""
     edge = np.flatnonzero(game.playable)
     return route_strategy(game.network, shortest_route(game.network, edge, cost))
 
 
 def route_entropy(network: Network, p: FloatArray) -> float:
-    """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats]."""
+    """Return the entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats]."""
     leaving = sums(network.tails, p, len(network.points))
     return entropy(p, leaving[network.tails])
 
 
 def entropy(p: FloatArray, whole: FloatArray) -> float:
-    """-sum p ln(p / whole), with 0 ln 0 = 0 [nats]."""
+    """Return -sum p ln(p / whole), with 0 ln 0 = 0 [nats]."""
     used = p > 0.0
     return float(0.0 - (p[used] * np.log(p[used] / whole[used])).sum())  # never -0

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -23,9 +22,10 @@ from .tolerance import MIN_TOLERANCE, Reason
 
 
 class FoundSites(NamedTuple):
-    """Sites that a search has found.
+    """Violated sites, the worst first, with the edges (K, M) that enter their discs.
 
-    Positions (K, 2) [m], losses (K,), mean losses (K,), and the edges that enter their discs.
+    ``points`` (K, 2) are their positions [m], ``alpha`` (K,) the loss that an ambush there causes,
+    and ``mean_loss`` (K,) what it costs the strategy that violates them.
     """
 
     points: FloatArray
@@ -35,16 +35,13 @@ class FoundSites(NamedTuple):
 
 
 class SiteSearch(Protocol):
-    """Finds sites of a map, where an ambusher may wait also between the network's nodes."""
+    """Separation on a map: finds violated sites, also between the network's nodes."""
 
-    def worst(self, law: Law, above: float, apart: float) -> FoundSites:
-        """The sites that cost drawn routes more than ``above``, no two within ``apart`` [m].
-
-        The worst comes first.
-        """
+    def worst(self, law: Law, threshold: float, spacing: float) -> FoundSites:
+        """Find sites whose mean loss exceeds ``threshold``, no two within ``spacing`` [m]."""
 
 
-# Is called with the phase of a plan, and the value, or ``inf`` before a strategy is finished.
+# Called with the phase of a plan and its value, ``inf`` before a strategy is finished.
 Progress = Callable[[str, float], None]
 
 
@@ -54,9 +51,9 @@ def no_progress(phase: str, value: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SearchProblem:
-    """The legs of a trip, and how far and how long to search.
+    """The legs of a trip, the tolerance of the value, and the deadlines of search and proof.
 
-    The search ends at ``deadline`` and proofs at ``certificate_deadline`` (``time.monotonic``).
+    Deadlines are times of ``time.monotonic``. The search for the value begins at ``first_value``.
     """
 
     legs: Legs
@@ -68,7 +65,7 @@ class SearchProblem:
 
     @property
     def search_tolerance(self) -> float:
-        """The tolerance with which the search ends, so that the certificate's is kept."""
+        """Tolerance at which the search stops; never 0, so that it can be reached."""
         return max(self.tolerance, MIN_TOLERANCE)
 
     @property
@@ -79,12 +76,20 @@ class SearchProblem:
 
 @dataclass(frozen=True, eq=False)
 class Incumbent:
-    """The best strategies so far, of all legs.
+    """The best strategies of all legs found so far.
 
-    ``value`` is what they cost at the sites so far, ``worst`` the row of the one that costs most
-    (-1: none). ``entropy_bound`` [nats] is the most entropy that a distribution within the same
-    limits can have; NaN if that is not known. Of two, the one of greater ``rating`` is better:
-    whether it is within the tolerance, then its entropy, or else minus its value.
+    Attributes
+    ----------
+    law
+        The probability law of their routes.
+    value, worst
+        Largest mean loss at a known site, and the row of that site; -1: there is none.
+    entropy_bound
+        Upper bound of the entropy that a distribution within the same limits can have [nats]; NaN
+        if unknown.
+    rating
+        Sort key: first, whether the value is within the tolerance; then the entropy if it is, else
+        minus the value.
     """
 
     law: Law
@@ -94,43 +99,43 @@ class Incumbent:
     rating: tuple[bool, float] = (False, -np.inf)
 
     @property
-    def good(self) -> bool:
-        """Return whether the value is within the tolerance."""
+    def within_tolerance(self) -> bool:
+        """Return whether the value is within the tolerance of the bound."""
         return self.rating[0]
 
 
 class Program(Protocol):
-    """Finds the least value."""
+    """A mathematical program for the least value at the known sites."""
 
     @property
     def bound(self) -> float:
-        """No strategy has a smaller value, as the ``ambush`` proves."""
+        """Lower bound of the value of every strategy, certified by ``ambush``."""
 
     @property
     def value(self) -> float:
-        """The cost of the strategies of ``flow`` at the sites so far."""
+        """Largest mean loss of the strategies of ``flow`` at the known sites."""
 
     @property
     def flow(self) -> FloatArray:
-        """Strategies (M,) of the legs that nearly attain the bound, without cycles."""
+        """Acyclic strategies (M,) of the legs that nearly attain the bound."""
 
     @property
     def ambush(self) -> Ambush:
-        """The ambusher who proves the bound."""
+        """The ambusher's strategy that certifies the bound."""
 
     def solve(self, deadline: float) -> None:
-        """Go on from where it is; raises TimeLimit or SolverFailed, what was found counts."""
+        """Resume until solved; raises TimeLimit or SolverFailed, but keeps what it found."""
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
 
 
 class Search:
-    """A problem, a program for its value, and the sites that are known so far.
+    """State of a search: the problem, the program for its value, and the known sites.
 
-    ``points`` (S, 2), ``loss`` (S,) and ``entering`` (S, M) are those of the sites; ``earlier`` has
-    the ambushers of programs before. ``reason`` says why the program ended last, ``evaluations``
-    how many Gibbs distributions were computed.
+    ``points`` (S, 2), ``loss`` (S,) and ``entering`` (S, M) belong to the sites. ``earlier`` has
+    the ambushers of programs that were replaced, ``reason`` says why the program ended last, and
+    ``evaluations`` counts the Gibbs distributions that were computed.
     """
 
     def __init__(self, problem: SearchProblem, program: Program) -> None:
@@ -144,18 +149,13 @@ class Search:
 
     @property
     def deadline(self) -> float:
-        """Return the end of the search (``time.monotonic``)."""
+        """The end of the search (``time.monotonic``)."""
         return self.problem.deadline
 
     def solve_program(self) -> None:
-        """Let the program go on; what it has found before the deadline, or a failure, counts."""
-        with self._noted_failure():
-            self.program.solve(self.deadline)
-
-    @contextlib.contextmanager
-    def _noted_failure(self) -> Iterator[None]:
+        """Resume the program; after a failure or the deadline, what it found still counts."""
         try:
-            yield
+            self.program.solve(self.deadline)
         except TimeLimit:
             self.reason = 'time'
         except SolverFailed:
@@ -163,19 +163,19 @@ class Search:
         else:
             self.reason = 'stalled'
 
-    def go_on_until(self, deadline: float, certificate_deadline: float) -> None:
-        """Move the ends of the search and of proofs (``time.monotonic``)."""
+    def move_deadlines(self, deadline: float, certificate_deadline: float) -> None:
+        """Set other deadlines of the search and of proofs (``time.monotonic``)."""
         self.problem = replace(self.problem, deadline=deadline,
                                certificate_deadline=certificate_deadline)
 
-    def add_violated_sites(self, law: Law, threshold: float, apart: float) -> FoundSites | None:
-        """Separation: add the sites that cost more than ``threshold``; None if none does.
+    def add_violated_sites(self, law: Law, threshold: float, spacing: float) -> FoundSites | None:
+        """Separation: add the sites whose mean loss exceeds ``threshold``; None if there are none.
 
-        No two of them are within ``apart`` times the reach.
+        No two of them are within ``spacing`` times the reach.
         """
         if self.problem.site_search is None:
             return None
-        found = self.problem.site_search.worst(law, threshold, apart * self.legs.reach)
+        found = self.problem.site_search.worst(law, threshold, spacing * self.legs.reach)
         if not len(found.points):
             return None
         self._add(found)
@@ -188,7 +188,7 @@ class Search:
         self.loss = np.append(self.loss, found.alpha)
 
     def better(self, best: Incumbent | None, distribution: RouteDistribution) -> Incumbent | None:
-        """The better one of the incumbent and a distribution; one over a budget is none."""
+        """Return the better of an incumbent and a distribution, unless that exceeds a budget."""
         chain, value, good = distribution.chain, distribution.value, distribution.good
         rating = good, distribution.entropy if good else -value
         if best and rating <= best.rating:
@@ -198,8 +198,8 @@ class Search:
             return best
         return Incumbent(chain, value, distribution.worst, distribution.entropy_bound, rating)
 
-    def at_any_site(self, best: Incumbent) -> Incumbent:
-        """The incumbent with its value at any site, also at those that joined for others."""
+    def value_everywhere(self, best: Incumbent) -> Incumbent:
+        """Return the incumbent with its value at all known sites and everywhere on the map."""
         value, worst = largest_product(self.loss, self.entering, best.law)
         if self.problem.site_search is not None:
             threshold = value * (1.0 + ROUNDING)

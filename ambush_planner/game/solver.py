@@ -1,18 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solve the game: value, sites, distribution, certificate.
-
-1. *Value.* A program finds the least value within the length budgets, strategies that attain it,
-   and an ambusher who proves it: a maximum flow without a reach and a budget, face potentials on
-   planar networks whose links cost the same both ways, whole routes otherwise.
-2. *Sites.* With a reach, the places of the map that cost these strategies most join the program,
-   which goes on from where it is (constraint generation, ``value_search``).
-3. *Distribution.* The law of greatest entropy within the tolerance of the bound
-   (``distribution_search``).
-4. *Certificate.* Value and bound are computed again, from the strategies and the ambusher alone
-   (``proof``).
-
-The paper's linear programs are another choice.
-"""
+"""Solve the game in the four stages of ``game``, or by the paper's linear programs."""
 
 from __future__ import annotations
 
@@ -37,18 +24,18 @@ from .tolerance import ROUNDS
 from .value.linear_program import linear_program_strategy
 from .value_search import find_sites, find_value, find_value_by_max_flow, program_law, tighten
 
-# Least share of the routes that is every route, up to rounding.
+# Probability of a hit from which on an ambush hits every route, up to rounding.
 ALL_ROUTES = 1.0 - NEGLIGIBLE
-# A search ends before its time limit by this share of it, or by this time [s] if that is less;
-# proofs end as much after that.
+# Time kept after the search for proofs, and after proofs for the rest: a share of the time limit,
+# and the most of it [s].
 RESERVE = 0.05, 1.0
 
 
 def solve(network: Network, game: GameOptions | None = None,
           options: StrategyOptions | None = None) -> Strategy:
-    """Find the convoy's optimal mixed strategy on a network; its value is at the network's nodes.
+    """Find the convoy's optimal mixed strategy on a network, against ambushes at its nodes.
 
-    ``plan_trip`` also considers ambushers between the nodes, the driven paths and the secured area.
+    ``plan_trip`` also covers ambushes between the nodes, the driven path and the secured area.
 
     Parameters
     ----------
@@ -62,7 +49,7 @@ def solve(network: Network, game: GameOptions | None = None,
     Returns
     -------
     Strategy
-        With its value, its lower bound and the ambusher who proves it.
+        With its value, its lower bound, and the ambusher's strategy that certifies the bound.
 
     Raises
     ------
@@ -78,7 +65,7 @@ def solve(network: Network, game: GameOptions | None = None,
 
     Examples
     --------
-    Two ways, past losses of 1 and 3: the ambusher gains most if both cost the same.
+    Two ways, past losses of 1 and 3: the optimal strategy makes both ambushes cost the same.
 
     >>> from ambush_planner import Network, StrategyOptions, solve
     >>> network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=[0, 1, 3, 0],
@@ -91,8 +78,12 @@ def solve(network: Network, game: GameOptions | None = None,
         raise InvalidNetwork(f'solve needs a Network, got a {type(network).__name__}; '
                              'build_network makes one of a RiskMap, and plan_trip does it all')
     options = options or StrategyOptions()
-    found = _in_time(solve_legs(make_games((network,), game or GameOptions()), options), options)
-    (strategy,) = found.legs
+    (strategy,) = solve_legs(make_games((network,), game or GameOptions()), options).legs
+    if strategy.reason == 'time':
+        raise TimeLimit(
+            f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '
+            f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time',
+            strategy)
     certain = certain_sites(strategy)
     if not strategy.value > 0.0:
         warn('the value is 0: some routes pass no ambush that causes a loss; check alpha and the '
@@ -104,7 +95,7 @@ def solve(network: Network, game: GameOptions | None = None,
 
 
 def certain_sites(strategy: Strategy) -> IndexArray:
-    """The nodes (K,) where the ambusher waits and every route is hit."""
+    """Return the nodes (K,) at which the ambusher waits and hits every route."""
     game = strategy.game
     rows = np.flatnonzero(strategy.ambush_probability[game.sites] > 0.0)
     hits = strategy.law.meets(game.entering[rows])
@@ -113,10 +104,10 @@ def certain_sites(strategy: Strategy) -> IndexArray:
 
 def solve_legs(games: tuple[Game, ...], options: StrategyOptions,
                site_search: SiteSearch | None = None) -> TripStrategy:
-    """Find the optimal strategies of a trip's legs against an ambusher at their sites.
+    """Find the optimal strategies of a trip's legs against one ambusher at any site.
 
-    Also at those of ``site_search``. At the time limit, the best so far is returned, with the
-    reason 'time'. Raises the errors of ``solve`` but TimeLimit, unless there is nothing to return.
+    Sites are those of the games and of ``site_search``. At the time limit, returns the incumbent
+    with the reason 'time'; raises TimeLimit only if there is none, else the errors of ``solve``.
     """
     if options.solver == 'max_entropy':
         return solve_problem(make_problem(games, options, site_search))
@@ -131,9 +122,9 @@ def solve_legs(games: tuple[Game, ...], options: StrategyOptions,
 def make_problem(games: tuple[Game, ...], options: StrategyOptions,
                  site_search: SiteSearch | None = None,
                  first_value: float = math.inf) -> SearchProblem:
-    """The problem of 'max_entropy', from now to its time limit; raises the errors of ``solve``.
+    """Pose the problem of 'max_entropy', whose time limit begins now; raises as ``solve``.
 
-    The search for the value begins at ``first_value``, if that is known to be near.
+    ``first_value`` is where the search for the value begins: an estimate, or inf.
     """
     _check_losses(games[0].network)
     budgets = tuple(length_budget(game, options.max_detour) for game in games)
@@ -143,13 +134,13 @@ def make_problem(games: tuple[Game, ...], options: StrategyOptions,
 
 
 def search_ends(end: float, time_limit: float) -> tuple[float, float]:
-    """Return the deadline of a search and its proofs that leaves the rest time until ``end``."""
+    """Deadlines of a search and of its proofs that leave a reserve before ``end``."""
     reserve = min(RESERVE[0] * time_limit, RESERVE[1])
     return end - 2.0 * reserve, end - reserve
 
 
 def solve_problem(problem: SearchProblem) -> TripStrategy:
-    """Find value and distribution, by a maximum flow if that keeps the length budget."""
+    """Run all stages, beginning with a maximum flow if that solves the program for the value."""
     search = find_value_by_max_flow(problem)
     if search and (found := finish(search)).reason == 'complete':
         return found
@@ -157,26 +148,16 @@ def solve_problem(problem: SearchProblem) -> TripStrategy:
 
 
 def finish(search: Search) -> TripStrategy:
-    """The strategies of a search whose value has been found."""
+    """Run the last two stages: distribution and certificate."""
     return certify(search, find_distribution(search))
 
 
 def finish_flow(search: Search) -> TripStrategy:
-    """Strategies of least value, not those of the greatest entropy among them."""
+    """Certify the program's own strategies, of least value but not of greatest entropy."""
     tighten(search)
     find_sites(search, ROUNDS)
     law = program_law(search)
     return certify(search, Incumbent(law, largest_product(search.loss, search.entering, law)[0]))
-
-
-def _in_time(strategy: TripStrategy, options: StrategyOptions) -> TripStrategy:
-    """The strategy; raises TimeLimit if the time passed before it was within the slack."""
-    if strategy.reason != 'time':
-        return strategy
-    raise TimeLimit(
-        f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '
-        f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time',
-        strategy.legs[0])
 
 
 def _check_losses(network: Network) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The convoy's mixed strategy: its options, and the record with its certificate."""
+"""The convoy's mixed strategy with its certificate, of one leg or of a trip, and its options."""
 
 from __future__ import annotations
 
@@ -33,22 +33,23 @@ SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 
 @dataclass(frozen=True, kw_only=True)
 class StrategyOptions:
-    """Options of the solver, and the strategy to choose among the optimal ones.
+    """Options that select one of the optimal strategies, and limit the solver.
 
     Parameters
     ----------
     solver
-        'max_entropy': least risk, then the most unpredictable routes, on an acyclic network.
-        'interior_point' and 'simplex': the paper's linear program by HiGHS' interior point method
-        without crossover or by its dual simplex method; their solutions may have cycles.
+        'max_entropy': least value, then the most unpredictable routes, on an acyclic network.
+        'interior_point' and 'simplex': the paper's linear program, by HiGHS' interior point method
+        without crossover or its dual simplex method; their solutions may have cycles.
     max_detour
         Limit of the expected length, as a multiple of ``shortest_length``; ``inf``: no limit.
         The most unpredictable strategy usually uses all of it.
     risk_slack
-        Accept values up to (1 + risk_slack) times the least; 0: within 1e-5 of the bound. The
-        linear programs ignore it.
+        Tolerance of the value: accept up to (1 + risk_slack) times the lower bound; 0: within 1e-5
+        of it. The linear programs ignore it.
     length_weight
-        w: minimise (1 - w) z + w sum p l, the paper's 0.99 / 0.01 variant (linear programs only).
+        w in [0, 1): minimise (1 - w) z + w sum p l, as the paper does with 0.01 (linear programs
+        only).
     time_limit
         Time limit of the solve [s].
 
@@ -78,34 +79,37 @@ class StrategyOptions:
 
     @property
     def tolerance(self) -> float:
-        """The tolerance of the value: the risk slack, 0 for linear programs."""
+        """Tolerance of the value: the risk slack, or 0 for the linear programs."""
         return self.risk_slack if self.solver == 'max_entropy' else 0.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Strategy(Certified, Shown):
-    """A mixed strategy of one leg with its certificate.
+    """Mixed strategy of one leg with its certificate.
 
     Attributes
     ----------
     game : Game
-        The network with its options applied: sites, losses, playable edges.
+        The network with its playable edges, ambush sites and losses.
     edge_probability : (M,)
-        p: expected uses of each edge; probabilities where the strategy is acyclic.
+        p: expected uses of each edge; probabilities if the strategy is acyclic.
     ambusher : Ambusher
-        The best one: where to wait, and what the length budget is worth. On a trip, the ambusher of
-        all legs, who proves less of a single one.
+        The ambusher's strategy that certifies the lower bound. On a trip it is the same for all
+        legs, so a single leg's bound can be far below its value.
     budget : Budget
         The limit of the mean length.
     mixture : RouteMixture or None
-        The whole routes that are drawn, if a Markov chain with the same p would cost more than the
-        risk slack: where ways part, share a pass and part again within the reach.
+        Whole routes that are drawn instead of a Markov chain, if a chain with the same p would
+        exceed the tolerance. This happens where ways part, share a pass and part again within the
+        reach: a chain does not remember the first choice.
     iterations : int
-        Evaluations of the Gibbs distribution, or iterations of interior point or simplex method.
+        Evaluations of the Gibbs distribution, or iterations of HiGHS.
+    entropy_bound : float
+        Upper bound of the route entropy within the same limits [nats]; NaN if unknown.
     reason : str
-        Why the search ended: 'complete', the value is within the slack of its bound; 'time', the
-        time limit passed; 'solver', a numerical solver failed; 'stalled', no method found a better
-        strategy or bound, and more time would not help.
+        Why the search ended: 'complete', the value is within the tolerance of its bound; 'time',
+        the time limit passed; 'solver', a numerical solver failed; 'stalled', no method found a
+        better strategy or bound, and more time would not help.
     """
 
     game: Game
@@ -120,7 +124,7 @@ class Strategy(Certified, Shown):
 
     @cached_property
     def law(self) -> Law:
-        """Return the law by which routes are drawn."""
+        """Probability law of the drawn routes."""
         return self.mixture or law_of(self.game, self.edge_probability)
 
     @cached_property
@@ -135,40 +139,41 @@ class Strategy(Certified, Shown):
 
     @cached_property
     def edge_entropy(self) -> float:
-        """-sum p ln p, the paper's [nats]."""
+        """Entropy -sum p ln p of the paper [nats]."""
         return entropy(self.edge_probability, np.ones_like(self.edge_probability))
 
     @cached_property
     def route_entropy(self) -> float:
-        """Entropy of a drawn route, -sum p_ij ln(p_ij / x_i) or that of the mixture [nats]."""
+        """Entropy of the drawn route: -sum p_ij ln(p_ij / x_i), or that of the mixture [nats]."""
         if self.mixture:
             return self.mixture.entropy
         return route_entropy(self.network, self.edge_probability)
 
     @property
     def entropy_gap(self) -> float:
-        """Return the most route entropy that is missing on the same acyclic part [nats].
+        """Upper bound of the route entropy still missing [nats]: ``entropy_bound`` minus its own.
 
-        Within the same limits. NaN if that is not known, as with a reach or on trips.
+        It compares strategies on the same acyclic subnetwork within the same limits. NaN if
+        unknown, as with a reach or on trips.
         """
         return max(self.entropy_bound - self.route_entropy, 0.0)
 
     @cached_property
     def expected_length(self) -> float:
-        """Mean length [m], or [s] if the network has driving times (``travel_costs``)."""
+        """Mean length of the route [m], or mean time [s] if the network has driving times."""
         return self.budget.mean(self.edge_probability)
 
     @property
     def shortest_length(self) -> float:
-        """Length of the shortest way over the ground, or on the network [m or s].
+        """Length of the shortest way over the ground if it is known, else on the network [m or s].
 
-        The latter if that over the ground is not known (``Network.ground_length``).
+        The network knows it as ``Network.ground_length``.
         """
         return self.budget.shortest
 
     @property
     def length_budget(self) -> float:
-        """Largest mean length [m or s]; with ``length_weight`` the strategy's own; inf: any."""
+        """Limit of the mean length [m or s]; inf: none; with ``length_weight``, the mean itself."""
         return self.budget.limit
 
     @property
@@ -192,10 +197,10 @@ class Strategy(Certified, Shown):
 
     def plot(self, risk_map: RiskMap | None = None, axes: Any = None) -> Any:
         """Draw edges by probability and ambush sites on matplotlib axes; returns the axes."""
-        return plan_methods.plot(self.alone, risk_map, axes)
+        return plan_methods.plot(self.as_trip, risk_map, axes)
 
     @cached_property
-    def alone(self) -> TripStrategy:
+    def as_trip(self) -> TripStrategy:
         """The trip of this leg alone."""
         return TripStrategy((self,), self.certificate, self.entropy_bound, self.reason)
 
@@ -206,7 +211,7 @@ class Strategy(Certified, Shown):
 
     @cached_property
     def sampler(self) -> RouteSampler | MixtureSampler:
-        """The sampler of the routes."""
+        """Sampler of the routes."""
         if self.mixture:
             return MixtureSampler(self.network, self.mixture)
         return RouteSampler(self.network, self.edge_probability)
@@ -220,31 +225,31 @@ class Strategy(Certified, Shown):
 
     def sample_routes(self, n: int,
                       rng: np.random.Generator | int | None = None) -> list[IndexArray]:
-        """Draw ``n`` routes at once, as ``sample_route`` does but much faster."""
+        """Draw ``n`` routes at once: much faster than one by one."""
         return self.sampler.draw_many(n, np.random.default_rng(rng))
 
     def mean_direction(self) -> FloatArray:
         """Mean direction (N, 2) in which the convoy leaves each node; 0 at unused nodes.
 
-        It is the mean of the unit vectors along the edges out of the node, weighted by p (the right
-        column of the paper's figure 3); its length is 1 if the next step is certain.
+        It is the mean of the unit vectors along the edges out of the node, weighted by p (right
+        column of the paper's figure 3). Its length is 1 if the next step is certain.
         """
         network, p = self.network, self.edge_probability
         step = network.points[network.heads] - network.points[network.tails]
         unit = step / np.maximum(network.lengths, np.finfo(float).tiny)[:, None]
         count = len(network.points)
         total = [sums(network.tails, p * u, count) for u in unit.T]
-        out = sums(network.tails, p, count)
-        mean: FloatArray = np.stack(total, axis=1) / np.where(out > 0.0, out, 1.0)[:, None]
+        leaving = sums(network.tails, p, count)
+        mean: FloatArray = np.stack(total, axis=1) / np.where(leaving > 0.0, leaving, 1.0)[:, None]
         return mean
 
 
 @dataclass(frozen=True, eq=False)
 class TripStrategy(Certified):
-    """The strategies of a trip's ``legs``, drawn one by one, and what an ambusher does to all.
+    """Mixed strategies of a trip's ``legs``, drawn independently, with one certificate.
 
-    The ``certificate`` is of the sums over the legs: the largest mean loss at a place, and the
-    lower bound that the ambusher proves.
+    The ``certificate`` is about sums over the legs: the largest mean loss that an ambush at one
+    site causes, and its lower bound.
     """
 
     legs: tuple[Strategy, ...]
@@ -254,15 +259,15 @@ class TripStrategy(Certified):
 
     @property
     def game(self) -> Game:
-        """The game of the first leg, which has the sites of all."""
+        """The game of the first leg; all legs have the same sites."""
         return self.legs[0].game
 
     @property
     def ambusher(self) -> Ambusher:
-        """The ambusher who proves the bound, with the prices of all legs."""
-        own = [leg.ambusher for leg in self.legs]
-        return Ambusher(own[0].q, tuple(each.prices[0] for each in own),
-                        sum((each.circulations for each in own), ()))
+        """The ambusher's strategy that certifies the bound, with the prices of all legs."""
+        parts = [leg.ambusher for leg in self.legs]
+        return Ambusher(parts[0].q, tuple(part.prices[0] for part in parts),
+                        sum((part.circulations for part in parts), ()))
 
     @cached_property
     def joint(self) -> Legs:
@@ -271,12 +276,12 @@ class TripStrategy(Certified):
 
     @cached_property
     def law(self) -> Law:
-        """Return the law by which the routes of all legs are drawn."""
+        """Probability law of the routes of all legs."""
         return joint_law(self.joint, [leg.law for leg in self.legs])
 
     @cached_property
     def ground_uses(self) -> tuple[IndexArray, FloatArray]:
-        """The edges (K, 2) of the ground, and the expected uses (K,) of each by all legs."""
+        """Edges (K, 2) of all legs, each once, and their expected uses (K,) by all legs."""
         count = len(self.legs[0].network.points)
         keys = np.concatenate([leg.network.edges @ (count, 1) for leg in self.legs])
         ground, edge = np.unique(keys, return_inverse=True)
@@ -285,14 +290,14 @@ class TripStrategy(Certified):
 
     @cached_property
     def hits(self) -> FloatArray:
-        """P(hit) (legs, S) of each leg at each site."""
+        """Probability (legs, S) that each site hits each leg."""
         return np.stack([leg.law.meets(leg.game.entering) for leg in self.legs])
 
     @property
     def first_hit_value(self) -> float:
-        """Mean loss by the best ambush at one place if the first hit ends the trip.
+        """Largest mean loss that an ambush at one site causes if the first hit ends the trip.
 
-        It is exact, as legs are drawn one by one, and at most the value.
+        It is exact, because legs are drawn independently, and at most the value.
         """
         missed = np.prod(1.0 - np.minimum(self.hits, 1.0), axis=0)
         return float((self.joint.loss * (1.0 - missed)).max(initial=0.0))
@@ -324,27 +329,27 @@ class TripStrategy(Certified):
 
     @property
     def entropy_gap(self) -> float:
-        """Return the most route entropy that is missing within the limits [nats]."""
+        """Upper bound of the route entropy still missing within the limits [nats]."""
         return max(self.entropy_bound - self.route_entropy, 0.0)
 
 
 def make_strategies(legs: Legs, p: FloatArray, mixtures: Sequence[RouteMixture | None],
                     ambusher: Ambusher, bounds: FloatArray, **facts: Any) -> TripStrategy:
-    """The strategies p (M,) of all legs, or ``mixtures`` of whole routes, with their certificates.
+    """Certify strategies p (M,) of all legs, drawn by chains or from ``mixtures`` of whole routes.
 
-    ``bounds`` (legs,) are what the ambusher proves (``lower_bounds``); ``facts`` are the other
-    fields of ``Strategy``. Raises SolverFailed if p is not valid or a bound exceeds its value.
+    ``bounds`` (legs,) are the ambusher's ``lower_bounds``, ``facts`` the other fields of
+    ``Strategy``. Raises SolverFailed if p is not valid or a bound exceeds its value.
     """
     strategies, total = [], 0.0
-    for game, budget, own, mixture, alone, bound in zip(
+    for game, budget, leg_p, mixture, leg_ambusher, bound in zip(
             legs.games, legs.budgets, legs.split(p), mixtures, ambusher.by_leg(), bounds.tolist(),
             strict=True):
-        check_strategy(game, budget, own)
+        check_strategy(game, budget, leg_p)
         # Rounding may put p over a budget; the bound then holds for strategies as far over it.
-        if alone.prices[0] > 0.0:
-            bound -= alone.prices[0] * budget.overrun(own)
+        if leg_ambusher.prices[0] > 0.0:
+            bound -= leg_ambusher.prices[0] * budget.overrun(leg_p)
         total += bound
-        found = Strategy(game, frozen_array(own, np.float64), alone, budget,
+        found = Strategy(game, frozen_array(leg_p, np.float64), leg_ambusher, budget,
                          Certificate(math.inf, 0.0), mixture, **facts)
         value = largest_product(game.loss[game.sites], game.entering, found.law)[0]
         strategies.append(replace(found, certificate=Certificate(value, max(bound, 0.0))))
@@ -356,17 +361,24 @@ def make_strategies(legs: Legs, p: FloatArray, mixtures: Sequence[RouteMixture |
 
 
 def with_certificate(trip: TripStrategy, certificate: Certificate) -> TripStrategy:
-    """The same strategies with another certificate, such as that of another map."""
+    """Return the same strategies with another certificate, such as that on another map."""
     if len(trip.legs) > 1:
         return replace(trip, certificate=certificate)
     return replace(trip, certificate=certificate,
                    legs=(replace(trip.legs[0], certificate=certificate),))
 
 
-def within_slack(strategy: Strategy | TripStrategy, options: StrategyOptions) -> bool:
-    """Return whether value and lower bound are as near to each other as the options ask for."""
-    # With a length weight, the weighted sum is minimal and sets the scale of the gap.
-    weighed = sum(price * strategy.expected_length for price in strategy.ambusher.prices
-                  ) * (options.length_weight > 0.0)
-    return within(strategy.value + weighed, strategy.lower_bound + weighed,
+def weighted_length(strategy: Strategy | TripStrategy, options: StrategyOptions) -> float:
+    """Return the length in the objective of a linear program with ``length_weight`` [loss]; else 0.
+
+    The sum of it and the value is minimal, and sets the scale of the gap.
+    """
+    return sum(price * strategy.expected_length for price in strategy.ambusher.prices
+               ) * (options.length_weight > 0.0)
+
+
+def within_tolerance(strategy: Strategy | TripStrategy, options: StrategyOptions) -> bool:
+    """Return whether the value is within the options' tolerance of the lower bound."""
+    length = weighted_length(strategy, options)
+    return within(strategy.value + length, strategy.lower_bound + length,
                   options.tolerance + CERTIFICATE_TOLERANCE)

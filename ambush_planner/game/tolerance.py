@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tolerance within which a value counts as equal to its lower bound."""
+"""The tolerance within which a value counts as equal to its lower bound."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Literal
 
 from ..arrays import ROUNDING
 
-# Why a search ended: its value is within the tolerance of the bound, the time was up, a numerical
-# solver failed, or no method finds a better strategy or bound.
+# Why a search ended: its value is within the tolerance of the bound, the time limit passed, a
+# numerical solver failed, or no method finds a better strategy or bound.
 Reason = Literal['complete', 'time', 'solver', 'stalled']
 
-# Maximum number of rounds of one kind: in which sites join a search, of a route distribution, in
-# which an LP over routes hardly gains, or which refine a solution to double precision.
+# Maximum number of rounds of each kind: of constraint generation, of a route distribution, of an LP
+# over routes that hardly gains, and of refining a solution to double precision.
 ROUNDS = 25
-# A published value is at most (1 + risk_slack + this) times its bound.
+# A published value is at most (1 + risk_slack + CERTIFICATE_TOLERANCE) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5
-# Least tolerance of a search, so that it ends within the certificate's if none is asked for.
+# Least tolerance of a search: with a risk slack of 0, its result still passes the certificate.
 MIN_TOLERANCE = 0.5 * CERTIFICATE_TOLERANCE
 
 

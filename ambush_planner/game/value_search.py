@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first two stages of a solve: the least value, and the sites that decide it.
 
-A program finds the value with the sites known so far (``value``); with a reach, the places of the
-map that cost its strategies most join it, until none does.
+A program finds the least value at the known sites (``value``). With a reach, the sites of the map
+that its strategies violate most are added, until there are none.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from .value.routes import ROUTES, Routes
 
 # Optimality gaps of programs in potentials, over routes, and over edges [tolerances].
 POTENTIAL_GAP, ROUTES_GAP, EDGES_GAP = 0.1, 0.3, 0.01
-# The gap of one in potentials that only says where a network is to be refined [tolerances].
+# Gap of a program in potentials that only decides where a network is refined [tolerances].
 ROUGH_GAP = 0.5
-# How often sites join before the distribution is sought; more often while the value is 0. In the
-# last of these rounds and later, sites may be as near to each other as they come.
+# Rounds of separation before the distribution is sought; there are more while the value is 0. From
+# the last of these on, sites may be as close to each other as they come.
 SWEEPS = 3
-# How often sites join a program over routes before it is solved precisely.
+# Rounds of separation before a program over routes is solved precisely.
 ROUGH_SWEEPS = 2
 
 
 def find_value(problem: SearchProblem, rough: bool = False) -> Search:
-    """Find the least value within the budgets, and an ambusher who nearly proves it.
+    """Find the least value within the budgets, and an ambusher's strategy that nearly certifies it.
 
-    A ``rough`` search is less precise, until it is finished (``tighten``).
+    A ``rough`` search is less precise, until ``tighten``.
     """
     search = Search(problem, _program(problem, ROUGH_GAP if rough else POTENTIAL_GAP))
     find_sites(search)
@@ -38,7 +38,7 @@ def find_value(problem: SearchProblem, rough: bool = False) -> Search:
 
 
 def _program(problem: SearchProblem, gap: float) -> Program:
-    """The program for the value; one in potentials ends at a relative ``gap`` [tolerances]."""
+    """Choose the program for the value; one in potentials ends at the ``gap`` [tolerances]."""
     legs, tolerance = problem.legs, problem.search_tolerance
     if len(legs.games) > 1 and legs.no_reentry:
         return EdgeFlows(legs, EDGES_GAP * tolerance)
@@ -50,7 +50,7 @@ def _program(problem: SearchProblem, gap: float) -> Program:
 
 
 def find_value_by_max_flow(problem: SearchProblem) -> Search | None:
-    """The same for a leg without a reach, if the flow that attains the value keeps the budget."""
+    """Find the value of a leg without a reach by a maximum flow, if that keeps the budget."""
     legs = problem.legs
     if not legs.no_reentry or len(legs.games) > 1:
         return None
@@ -59,7 +59,7 @@ def find_value_by_max_flow(problem: SearchProblem) -> Search | None:
 
 
 def tighten(search: Search) -> None:
-    """Find the value of a rough search precisely."""
+    """Make a rough search precise."""
     if isinstance(search.program, Potential):
         search.program.tighten(POTENTIAL_GAP * search.tolerance)
         search.solve_program()
@@ -75,21 +75,21 @@ def find_sites(search: Search, sweeps: int = SWEEPS) -> None:
         search.solve_program()
         if search.problem.out_of_time or (sweep >= sweeps and program.bound > 0.0):
             break
-        apart = ROUTES.apart if sweep < sweeps - 1 else 0.0
+        spacing = ROUTES.site_spacing if sweep < sweeps - 1 else 0.0
         threshold = max(ceiling(program.bound, search.tolerance), program.value)
-        found = search.add_violated_sites(program_law(search), threshold, apart)
+        found = search.add_violated_sites(program_law(search), threshold, spacing)
         if found is None and not rough:
             break
 
 
 def program_law(search: Search) -> Law:
-    """Return the law by which the program's strategies are drawn."""
+    """Return the law of the program's strategies."""
     if isinstance(search.program, Routes):
         return search.program.mixture
     return flow_law(search)
 
 
 def flow_law(search: Search) -> MarkovChain:
-    """The chains of the program's flow."""
+    """Return the chain of the program's flow."""
     networks = [game.network for game in search.legs.games]
     return chain_of_legs(networks, search.program.flow, search.legs.first)

@@ -3,7 +3,7 @@
 
 A YAML file has one line per layer; they apply from top to bottom, by the formulas of
 docs/risk_layers.md. Features that cannot be used are counted in a warning, and are an error if they
-are forbidden or held.
+are forbidden or secured.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..errors import AmbushPlannerError
+from ..gone import present_name
 from ..option_checks import check_at_least
 from .coordinates import Coordinates, is_robot_frame
 from .elevation import MAX_CELLS
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 # The keys of the file, and of each kind of line, with their defaults.
 _TOP = {'layers': None, 'base': 1.0, 'resolution': 0.0, 'bounds': None, 'crs': None}
 _VIEW = ('weapon_range', 'vehicle_height', 'person_height')
-_SHAPES = {'loss': 0.0, 'factor': 1.0, 'passable': False, 'forbidden': False, 'held': False}
+_SHAPES = {'loss': 0.0, 'factor': 1.0, 'passable': False, 'forbidden': False, 'secured': False}
 _KINDS: Mapping[str, Mapping[str, Any]] = {
     'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
     'polygons': {**_SHAPES, 'buffer': 0.0},
@@ -117,7 +118,7 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
                 joined.loss += base
                 continue
             joined = joined or _without_terrain(top, base)
-            whole = [key for key in ('forbidden', 'held') if values.get(key)]
+            whole = [key for key in ('forbidden', 'secured') if values.get(key)]
             features = read_features_on(
                 joined.ground, str(path), *_GEOMETRIES[kind], crs=crs,
                 refused=f'{whole[0]} ground must be whole' if whole else '')
@@ -166,6 +167,7 @@ def _line(number: int, line: Any) -> tuple[str, Mapping[str, Any]]:
     if len(kinds) != 1:
         raise InvalidLayers(f'layer {number} needs one of {", ".join(_KINDS)}, with a file')
     (kind,) = kinds
+    line = {present_name(key): value for key, value in line.items()}
     return kind, _with_defaults(f'layer {number} ({kind})', line, {kind: '', **_KINDS[kind]})
 
 
@@ -217,7 +219,7 @@ class _Joined:
     layers: list[Layer] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     masks: Mapping[str, list[BoolArray]] = field(
-        default_factory=lambda: {'passable': [], 'forbidden': [], 'held': []})
+        default_factory=lambda: {'passable': [], 'forbidden': [], 'secured': []})
 
     def result(self) -> LayeredRisk:
         obstacles = self.ground.obstacles.copy()
@@ -225,7 +227,7 @@ class _Joined:
             obstacles &= ~mask
         for mask in self.masks['forbidden']:
             obstacles |= mask
-        for mask in self.masks['held']:
+        for mask in self.masks['secured']:
             self.loss[mask] = 0.0
         self.loss[self.loss < MIN_LOSS] = 0.0  # far from all incidents
         return LayeredRisk(replace(self.ground, alpha=self.loss, obstacles=obstacles),

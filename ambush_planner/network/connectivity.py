@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs (K, 2) of neighbouring nodes: 8-connected lattice or Delaunay triangulation."""
+"""Pairs of nodes to join: 8-connected lattice or Delaunay triangulation."""
 
 from __future__ import annotations
 
@@ -18,32 +18,35 @@ FLAT = 0.25
 
 
 def grid8_pairs(cells: IndexArray) -> IndexArray:
-    """Join nodes in the same of the cells (K, 2) = (row, column), or in one of eight neighbours."""
+    """Pairs (E, 2) of nodes whose lattice cells (K, 2) = (row, column) are equal or adjacent."""
     pairs: IndexArray = cKDTree(cells).query_pairs(1.0, np.inf, output_type='ndarray')
     return pairs
 
 
 def delaunay_pairs(points: FloatArray, mirrored: FloatArray,
                    spacing: float) -> tuple[IndexArray, IndexArray]:
-    """Edges (E, 2) and triangles (T, 3) of the Delaunay triangulation of points (K, 2) on a map.
+    """Pairs (E, 2) and triangles (T, 3) of the Delaunay triangulation of points (K, 2) on a map.
 
-    Their mirror images (F, 2) beyond the map's edge prevent long edges between nodes along it: two
-    nodes are joined only if their Voronoi cells meet on the map.
+    Mirror images (F, 2) of the points beyond the map's edge prevent long edges along it: two nodes
+    are joined only if their Voronoi cells meet on the map. The lower node of a pair comes first.
     """
     places = np.concatenate((points, mirrored)) / spacing
     places[:, 0] += ROW_SHIFT * (np.floor(places[:, 1]) % 2)
     triangles = _triangles(places @ TIE_BREAK)
-    pairs = _sides(triangles)
+    sides = np.concatenate([np.sort(triangles[:, [k - 1, k]], axis=1)
+                            for k in range(triangles.shape[1])])
+    size = int(sides.max(initial=0)) + 1
+    pairs = np.stack(np.divmod(np.unique(sides @ (size, 1)), size), axis=1)
     if triangles.shape[1] == 2:  # a chain has no triangles
         triangles = np.empty((0, 3), dtype=np.int64)
     return pairs[pairs[:, 1] < len(points)], triangles[(triangles < len(points)).all(axis=1)]
 
 
-def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray) -> IndexArray:
-    """Drop the longest sides of flat triangles (T, 3) whose two other sides are among the pairs.
+def drop_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray) -> IndexArray:
+    """Drop the longest side of each flat triangle (T, 3) whose other two sides are pairs (E, 2).
 
-    Otherwise nodes along an obstacle would be joined past those between them that lie only slightly
-    further off. The lower node of each pair comes first.
+    Along an obstacle such a side would join two nodes past one that lies between them and only
+    slightly further from the obstacle.
     """
     size = len(points)
     corners = points[triangles]
@@ -71,10 +74,3 @@ def _triangles(points: FloatArray) -> IndexArray:
     order = np.lexsort(points.T).astype(np.int64)
     return np.stack((order[:-1], order[1:]), axis=1)
 
-
-def _sides(triangles: IndexArray) -> IndexArray:
-    """The sides (E, 2) of triangles or of a chain, each once, the lower node first; sorted."""
-    sides = np.concatenate([np.sort(triangles[:, [k - 1, k]], axis=1)
-                            for k in range(triangles.shape[1])])
-    size = int(sides.max(initial=0)) + 1
-    return np.stack(np.divmod(np.unique(sides @ (size, 1)), size), axis=1)

@@ -25,14 +25,14 @@ from .node_sampling import SAMPLES
 from .passages import MAX_NODE_DISTANCE, pass_nodes, passage_nodes, widest_cell_path
 from .road_network import road_length, road_trip_graph, roads_on_map
 from .shortest_way import GroundLengths
-from .trip_graph import Position, TripGraph, named, position_errors
+from .trip_graph import Position, TripGraph, position_errors, position_text
 
 METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', *SAMPLES, 'graph')
 
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkOptions:
-    """Sampling, spacing and connection of the network.
+    """Options of the network: sampling, spacing, clearance, or roads.
 
     Parameters
     ----------
@@ -42,30 +42,30 @@ class NetworkOptions:
         (the paper's outlook), or 'graph' (the roads of ``graph``).
     spacing
         Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has. On
-        roads, the largest distance of nodes, which are also at all junctions and bends.
+        roads, the largest distance between nodes; all junctions and bends are nodes as well.
         None: chosen for about ``target_nodes`` nodes, never below the map's resolution.
     clearance
         Minimum distance of nodes and edges from obstacle cells [m]; 0: they do not touch any.
     clear_of_edge
-        Also keep the clearance from the map's outer edge, which is never touched in any case.
+        Also keep the clearance from the map's outer edge. No node or edge ever touches the edge.
     seed
         Seed of random sampling. It affects node positions, never which route is drawn.
     target_nodes
         Number of nodes to aim for if ``spacing`` is None.
     graph
-        Roads for the method 'graph': what ``read_roads`` takes (a file, a GeoDataFrame of lines),
-        or a ``RoadGraph``.
+        Roads for the method 'graph': a file or a GeoDataFrame of lines, as ``read_roads`` takes
+        them, or a ``RoadGraph``.
     node_crossings
-        Roads also meet where they cross without a shared vertex, bridges and tunnels apart.
+        Join roads also where they cross without a shared vertex, except at bridges and tunnels.
     road_column, all_lines_are_roads, two_way
-        Which lines are roads (COLUMN=VALUE,VALUE or all), and that columns which may say directions
-        do not, if the columns of a file are not known (``select_roads``).
+        Needed if the columns of a file are not known (``select_roads``): which lines are roads
+        (COLUMN=VALUE,VALUE or all), and that all roads are two-way.
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
     refine
-        Most rounds in which a plan with a reach refines its graded network where the ambusher
-        waits; 0: a plain network. None: until a round gains little, or the network is large. Only
-        for 'uniform_delaunay'.
+        Maximum number of rounds in which a plan with a reach refines its graded network around the
+        ambusher's sites; 0: a plain network. None: until a round gains little, or the network is
+        large. Only for 'uniform_delaunay'.
 
     Raises
     ------
@@ -103,18 +103,17 @@ class NetworkOptions:
 # Maximum number of lattice nodes; more suggest a mistyped spacing.
 MAX_CANDIDATES = 20_000_000
 # Distance within which errors name the nearest free place [cells].
-SEARCHED = 50
+HINT_DISTANCE = 50
 
 
 def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                   options: NetworkOptions | None = None) -> Network:
-    """Build the network for driving from start to goal; world positions [m].
+    """Build the network for driving from start to goal; positions are in the world frame [m].
 
     Start and goal are nodes at exactly the given positions; each replaces its nearest lattice node
-    (random sampling: nearest sample). Every pair of joined nodes gives two directed edges, except
-    into the source and out of the target. If the mesh is too coarse for a
-    narrow passage that the map's cells show, nodes are added there. The same inputs, options and
-    seed give the same network, bit for bit.
+    or random sample. Every pair of joined nodes gives two directed edges, except into the source
+    and out of the target. Where the mesh is too coarse for a narrow passage of the map, nodes are
+    added. The same inputs, options and seed give the same network, bit for bit.
 
     Returns
     -------
@@ -147,7 +146,7 @@ def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
 def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                      options: NetworkOptions, stops: Iterable[npt.ArrayLike] = (),
                      grading: Grading | None = None) -> TripGraph:
-    """Place the nodes and join them; raises as ``build_network``.
+    """Place and join the nodes of a trip's ground; raises as ``build_network``.
 
     A graded network has nodes in all passes that are wide enough for the clearance, and its length
     budgets are multiples of the shortest way over the ground.
@@ -167,11 +166,11 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
                       chosen_spacing(risk_map, options), options, grading)
     passes = np.empty((0, 2))
     if grading:
-        passes = pass_nodes(risk_map, field, options.clearance, space.wanted)
+        passes = pass_nodes(risk_map, field, options.clearance, space.spacing_at)
         passes = passes[field.clear_points(passes, options.clearance)]
     uv, edges, unreachable = connect_nodes(space, passes)
     if len(passes) and unreachable:
-        # Their triangles can cut the lattice's only way; ways are kept before passes.
+        # Triangles of pass nodes can cut the lattice's only way, which matters more.
         uv, edges, unreachable = connect_nodes(space, passes[:0])
     if unreachable:
         uv, edges = _add_passage_nodes(space, unreachable)
@@ -196,17 +195,17 @@ def _add_passage_nodes(space: FreeSpace,
     options, nodes = space.options, np.empty((0, 2))
     for end in unreachable:
         path, margin = _cell_path_to(space, end)
-        if options.method != 'uniform_grid8':  # which has no place for further nodes
+        if options.method != 'uniform_grid8':  # a grid has no place for further nodes
             nodes = np.concatenate((nodes, passage_nodes(path, margin, space.spacing)))
             nodes = np.unique(nodes, axis=0)
     nodes = nodes[space.field.clear_points(nodes, options.clearance)]
-    uv, edges, still = connect_nodes(space, nodes)
-    if not still:
+    uv, edges, unreachable = connect_nodes(space, nodes)
+    if not unreachable:
         return uv, edges
-    _, margin = _cell_path_to(space, still[0])
+    _, margin = _cell_path_to(space, unreachable[0])
     finer = max(float(margin.min()) / MAX_NODE_DISTANCE, space.risk_map.resolution / 2)
     raise NoRoute(
-        f'{_no_route_text(space, still[0])} keeps clear of the obstacles at a spacing of '
+        f'{_no_route_text(space, unreachable[0])} keeps clear of the obstacles at a spacing of '
         f'{space.spacing:g} m; the map has one, which a spacing of '
         f'{min(finer, space.spacing / 2):.3g} m would find'
     )
@@ -218,7 +217,7 @@ def _no_route_text(space: FreeSpace, end: int) -> str:
 
 
 def _cell_path_to(space: FreeSpace, end: int) -> tuple[FloatArray, FloatArray]:
-    """The widest path over cells from the start to an end, with its margins; raises NoRoute."""
+    """Widest path over cells from the start to an end, with its margins; raises NoRoute."""
     options, ends = space.options, space.uv_ends[[space.start, end]]
     path, margin = widest_cell_path(space.risk_map, space.field, ends, options.clearance)
     if len(path) == 0:
@@ -231,7 +230,7 @@ def _cell_path_to(space: FreeSpace, end: int) -> tuple[FloatArray, FloatArray]:
 
 
 def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """Spacing [m] as given, or for about ``target_nodes`` nodes on the free cells if it is None."""
+    """Return the spacing of the options [m], or one that gives about ``target_nodes`` nodes."""
     spacing, roads = options.spacing, options.roads
     length = road_length(roads_on_map(roads, risk_map)) if roads else 0.0
     if spacing is None:
@@ -250,7 +249,7 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
 
 def _checked_ends(risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike],
                   options: NetworkOptions) -> dict[str, Position]:
-    """The checked positions of start, stops and goal by name; start and goal are checked first."""
+    """Check the positions of start, goal and then stops; return them by name, in driving order."""
     last = len(given) - 1
     names = ['start', *(f'stop {k}' for k in range(1, last)), 'goal']
     for k in (0, last, *range(1, last)):
@@ -275,7 +274,8 @@ def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, 
         raise blocked(f'{name} must be a position (x, y), got shape {position.shape}')
     if not np.isfinite(position).all():
         raise blocked(f'{name} must be finite, got ({position[0]}, {position[1]})')
-    where, uv = named(name, (position[0], position[1])), risk_map.to_map_axes(position)
+    where = position_text(name, (position[0], position[1]))
+    uv = risk_map.to_map_axes(position)
     if not risk_map.contains(uv):
         (left, bottom), (right, top) = np.round(risk_map.bounds, 3).tolist()
         raise off_map(f'{where} is outside the map, which has x from {left:.10g} to {right:.10g} '
@@ -286,7 +286,8 @@ def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, 
         near = f' or within the clearance {clearance:g} m of one{edge}' if clearance else ''
         lower = ', or lower the clearance' if clearance else ''
         free = nearest_free_cell(risk_map, (position[0], position[1]),
-                                 SEARCHED * risk_map.resolution, clearance, options.clear_of_edge)
+                                 HINT_DISTANCE * risk_map.resolution, clearance,
+                                 options.clear_of_edge)
         place = f' to ({free[0]:.3f}, {free[1]:.3f})' * (tuple(position) != free)
         unknown = risk_map.unknown is not None and risk_map.unknown[risk_map.cells(uv)]
         ground = ('on unknown ground, an obstacle unless map.unknown_alpha gives it a loss'

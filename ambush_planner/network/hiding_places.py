@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ambush sites where the convoy has no nodes: in obstacle cells, or anywhere on the map."""
+"""Ambush sites that the convoy does not drive through: obstacle cells, or other places."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from .network import Network
 
 def hiding_places(networks: Sequence[Network], risk_map: RiskMap, reach: float,
                   spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Obstacle cells (K, 2) near the edges of a trip's legs [m], and their losses (K,).
+    """Positions (K, 2) of obstacle cells near the edges of a trip [m], and their losses (K,).
 
-    Includes all cells within ``reach`` [m] of an edge, and some slightly further, thinned to one
-    per square of half a ``spacing`` [m]. Their loss is that of the nearest free cell.
+    All cells within ``reach`` [m] of an edge are considered, and some slightly further; one is
+    taken in each square of half a ``spacing`` [m]. Its loss is that of the nearest free cell.
     """
     step = max(int(spacing / 2.0 / risk_map.resolution), 1)
     rows, columns = np.nonzero(risk_map.obstacles)
@@ -28,8 +28,8 @@ def hiding_places(networks: Sequence[Network], risk_map: RiskMap, reach: float,
     rows, columns = rows[first], columns[first]
     places = risk_map.to_world(np.stack((columns, rows), axis=1) * risk_map.resolution
                                + risk_map.resolution / 2.0)
-    far = reach + max(float(each.lengths.max(initial=0.0)) for each in networks) / 2.0
-    near = np.isfinite(cKDTree(networks[0].points).query(places, distance_upper_bound=far)[0])
+    limit = reach + max(float(each.lengths.max(initial=0.0)) for each in networks) / 2.0
+    near = np.isfinite(cKDTree(networks[0].points).query(places, distance_upper_bound=limit)[0])
     return places[near], risk_map.nearest_free_alpha()[rows[near], columns[near]]
 
 

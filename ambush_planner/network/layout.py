@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of a network: its nodes, and the pairs of them joined by obstacle-free edges."""
+"""Layout of a network: nodes, and edges that keep clear of obstacles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ..arrays import FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
-from .connectivity import delaunay_pairs, grid8_pairs, without_slivers
+from .connectivity import delaunay_pairs, drop_slivers, grid8_pairs
 from .grading import Grading
 from .node_sampling import (
     SAMPLES,
@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """The map, options and distinct ends ``uv_ends`` (E, 2) in map axes [m] of a network.
+    """Map, obstacles and options of a network to lay out.
 
-    ``start`` is the index of the start among them; ``grading`` makes the lattice finer in places.
+    ``uv_ends`` (E, 2) are its distinct ends in map axes [m], of which ``start`` is the index of the
+    start. ``grading`` is None for a plain lattice.
     """
 
     risk_map: RiskMap
@@ -44,24 +45,25 @@ class FreeSpace:
     options: NetworkOptions
     grading: Grading | None = None
 
-    def wanted(self, uv: FloatArray) -> FloatArray:
-        """The spacing (K,) that is wanted at points (K, 2) in map axes [m]."""
+    def spacing_at(self, uv: FloatArray) -> FloatArray:
+        """Return the spacing of nodes (K,) at points (K, 2) in map axes [m]."""
         if self.grading is None:
             return np.full(len(uv), self.spacing)
         points, ends = (self.risk_map.to_world(each) for each in (uv, self.uv_ends))
-        return self.grading.wanted(points, ends, self.spacing)
+        return self.grading.spacing_at(points, ends, self.spacing)
 
 
 def connect_nodes(space: FreeSpace,
                   extra: FloatArray) -> tuple[FloatArray, IndexArray, list[int]]:
-    """Nodes in map axes, the ends last; clear edges both ways; ends out of reach of the start.
+    """Join the lattice or the samples, ``extra`` nodes (K, 2) and the ends, in this order.
 
-    ``extra`` (K, 2) are nodes in addition to the lattice or the samples.
+    Returns the nodes (N, 2) in map axes, the edges (E, 2) in both directions, and the indices of
+    ends that cannot be reached from the start.
     """
     uv, pairs, triangles = _nodes_and_pairs(space, np.concatenate((extra, space.uv_ends)))
     a, b = uv[pairs[:, 0]], uv[pairs[:, 1]]
     clear = space.field.clear_segments(a, b, space.options.clearance)
-    pairs, first = without_slivers(uv, pairs[clear], triangles), len(uv) - len(space.uv_ends)
+    pairs, first = drop_slivers(uv, pairs[clear], triangles), len(uv) - len(space.uv_ends)
     edges = np.concatenate((pairs, pairs[:, ::-1]))
     reached = reachable_from(edges, len(uv), first + space.start)
     return uv, edges, np.flatnonzero(~reached[first:]).tolist()
@@ -69,10 +71,10 @@ def connect_nodes(space: FreeSpace,
 
 def _nodes_and_pairs(space: FreeSpace,
                      others: FloatArray) -> tuple[FloatArray, IndexArray, IndexArray]:
-    """Nodes in map axes, the joined pairs, and the triangles that may be flat.
+    """Nodes (N, 2) in map axes, pairs of neighbours (E, 2), and triangles (T, 3).
 
-    ``others`` (K, 2), which include the ends, are the last nodes. Each end replaces the node of the
-    lattice or the samples that is nearest.
+    ``others`` (K, 2), which include the ends, are the last nodes. Each end replaces the nearest
+    node of the lattice or the samples.
     """
     options, clearance = space.options, space.options.clearance
     uv = _points(space)
@@ -91,10 +93,10 @@ def _nodes_and_pairs(space: FreeSpace,
 
 
 def _points(space: FreeSpace) -> FloatArray:
-    """The lattice (K, 2), in obstacles, too, or the clear samples."""
+    """Nodes (K, 2) of the lattice, also those in obstacles, or the samples clear of them."""
     options, risk_map, spacing = space.options, space.risk_map, space.spacing
     if space.grading:
-        return graded_points(risk_map, spacing, space.wanted)
+        return graded_points(risk_map, spacing, space.spacing_at)
     if sample := SAMPLES.get(options.method):
         uv = sample(risk_map, spacing, options.seed)
         return uv[space.field.clear_points(uv, options.clearance)]

@@ -17,10 +17,10 @@ from ..notebook import Shown
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Network(Shown):
-    """A directed network with a loss at each node, validated.
+    """Validated directed network with a loss at each node.
 
-    Edges into the source or out of the target are dropped with a warning: they would allow flow
-    circulations that never connect the two, and the value would come out too low.
+    Edges into the source or out of the target are dropped with a warning: they would allow
+    circulations that do not connect the two, and a value that is too low.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ class Network(Shown):
     seconds : (M,) float, >= 0, optional
         Driving time of each edge [s]. Budgets are then of time instead of length.
     refined : (K, 3) float, optional
-        Of a graded network: places (x, y) around which it is finer, and the spacing of nodes there
-        [m]. None: the network is plain.
+        Places (x, y) around which a graded network is finer, and the spacing of nodes there [m].
+        None: the network is plain.
     ground_length : float, optional
         Length of the shortest way over the ground [m], of which length budgets are multiples.
         None: that of the network's shortest route.
@@ -76,7 +76,11 @@ class Network(Shown):
         if self.refined is not None:
             checked['refined'] = frozen_array(self.refined, np.float64)
         if self.seconds is not None:
-            seconds = _seconds(self.seconds, len(edges))
+            seconds = _floats('seconds', self.seconds)
+            good = np.isfinite(seconds) & (seconds >= 0.0)
+            if seconds.shape != (len(edges),) or not good.all():
+                raise InvalidNetwork('seconds must be finite and >= 0, one for each of the '
+                                     f'{len(edges)} edges')
             checked['seconds'] = frozen_array(seconds[~outside], np.float64)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -92,13 +96,13 @@ class Network(Shown):
         return frozen_array(np.hypot(*(self.points[head] - self.points[tail]).T), np.float64)
 
     def edges_between(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
-        """The edges from tails (K,) to heads (K,), by their indices; -1: there is none."""
+        """Return the indices (K,) of the edges from ``tails`` (K,) to ``heads`` (K,); -1: none."""
         count = len(self.points)
         return found_in(self.edges @ (count, 1), tails * count + heads)
 
     @property
     def travel_costs(self) -> FloatArray:
-        """The share of each edge (M,) in the length budget: time [s] if known, else length [m]."""
+        """Cost (M,) of each edge in the length budget: time [s] if known, else length [m]."""
         return self.lengths if self.seconds is None else self.seconds
 
     @property
@@ -108,9 +112,9 @@ class Network(Shown):
 
     @cached_property
     def edge_exposure(self) -> FloatArray:
-        """Integral of alpha along each edge (M,) [loss x m]: its length times the mean of its ends.
+        """Integral of alpha along each edge (M,) [loss x m]: length times mean alpha of its ends.
 
-        Source and target have no loss of their own; the edge's other end replaces theirs.
+        Source and target have no loss of their own: alpha at the edge's other end replaces it.
         """
         tail, head = self.alpha[self.tails], self.alpha[self.heads]
         tail = np.where(self.tails == self.source, head, tail)
@@ -149,12 +153,6 @@ def _check_nodes(points: FloatArray, alpha: FloatArray) -> None:
             raise InvalidNetwork(f'{name} must be {rule}, got {values[node].tolist()} '
                                  f'at node {node}')
 
-
-def _seconds(values: npt.ArrayLike, count: int) -> FloatArray:
-    seconds = _floats('seconds', values)
-    if seconds.shape != (count,) or not (np.isfinite(seconds) & (seconds >= 0.0)).all():
-        raise InvalidNetwork(f'seconds must be finite and >= 0, one for each of the {count} edges')
-    return seconds
 
 
 def _node(name: str, value: object, count: int) -> int:

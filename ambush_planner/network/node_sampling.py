@@ -21,19 +21,19 @@ MAX_SHIFT = 0.25
 PATTERN_SEED = 2
 # Rows and columns after which the pattern of offsets repeats.
 PERIOD = 32
-# Cells of this many times the wanted spacing are divided into four.
-DIVIDED = 1.42
-# Most nodes that grading adds.
+# Ratio of a cell's side to the grading's spacing above which the cell is divided into four.
+MAX_SIDE = 1.42
+# Maximum number of nodes that grading adds.
 MAX_GRADED = 30_000
-# Distance from the map's edge within which nodes have a mirror image beyond it [spacings].
+# Distance from the map's edge within which nodes have mirror images beyond it [spacings].
 MIRROR_DISTANCE = 4.0
 
 
 def shifts(method: str) -> FloatArray:
     """Offsets (PERIOD, PERIOD, 2) of nodes from the square lattice [spacings], by (row, column).
 
-    They are pseudorandom but fixed for 'uniform_delaunay', so that no direction is preferred, and 0
-    for other lattices.
+    For 'uniform_delaunay' they are pseudorandom but fixed, so that no direction is preferred; for
+    other lattices they are 0.
     """
     if method != 'uniform_delaunay':
         return np.zeros((PERIOD, PERIOD, 2))
@@ -65,44 +65,45 @@ def all_cells(shape: tuple[int, int]) -> IndexArray:
 
 
 def graded_points(risk_map: RiskMap, spacing: float,
-                  wanted: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Nodes (K, 2) in map axes [m] of 'uniform_delaunay' lattices, finer where that is ``wanted``.
+                  spacing_at: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Nodes (K, 2) in map axes [m] of 'uniform_delaunay' lattices with the spacing at each place.
 
-    The cells of the plain lattice are divided into four, again and again, as long as they are
-    larger than the spacing that is wanted there; each cell that remains has a node. All spacings
-    are larger if there would be more than ``MAX_GRADED`` nodes beyond the plain lattice's.
+    Cells of the plain lattice are divided into four until they are as small as ``spacing_at`` their
+    centres asks for; each cell that remains has a node. All spacings grow if there would be more
+    than ``MAX_GRADED`` nodes beyond the plain lattice's.
     """
     plain = math.prod(lattice_shape(risk_map, spacing))
-    coarser = 1.0
+    growth = 1.0
     while True:
-        points = _divided(risk_map, spacing, wanted, coarser)
+        points = _quadtree_points(risk_map, spacing, spacing_at, growth)
         if len(points) <= plain + MAX_GRADED:
             return points
-        coarser *= 1.5
+        growth *= 1.5
 
 
-def _divided(risk_map: RiskMap, spacing: float,
-             wanted: Callable[[FloatArray], FloatArray], coarser: float) -> FloatArray:
-    cells, side, points = all_cells(lattice_shape(risk_map, spacing, 0.0)), spacing, []
+def _quadtree_points(risk_map: RiskMap, side: float,
+                     spacing_at: Callable[[FloatArray], FloatArray], growth: float) -> FloatArray:
+    """Nodes (K, 2) in cells of a ``side`` [m] and their parts, for spacings times ``growth``."""
+    cells, points = all_cells(lattice_shape(risk_map, side, 0.0)), []
     while len(cells):
-        centres = (cells[:, ::-1] + 0.5) * side
-        divided = DIVIDED * coarser * wanted(np.asarray(centres, dtype=np.float64)) < side
-        whole = ~divided & (centres <= np.array(risk_map.size) + 1e-9 * side).all(axis=1)
+        centres = np.asarray((cells[:, ::-1] + 0.5) * side, dtype=np.float64)
+        large = MAX_SIDE * growth * spacing_at(centres) < side
+        whole = ~large & (centres <= np.array(risk_map.size) + 1e-9 * side).all(axis=1)
         points.append(lattice_points(cells[whole], side, 'uniform_delaunay'))
-        parts = np.indices((2, 2)).reshape(2, -1).T
-        cells, side = (cells[divided][:, None] * 2 + parts).reshape(-1, 2), side / 2.0
+        quarters = np.indices((2, 2)).reshape(2, -1).T
+        cells, side = (cells[large][:, None] * 2 + quarters).reshape(-1, 2), side / 2.0
     return np.concatenate(points)
 
 
 def random_points(risk_map: RiskMap, spacing: float, seed: int) -> FloatArray:
-    """Uniform random samples in map axes, as many as the lattice has nodes."""
+    """Uniform random samples (K, 2) in map axes [m], as many as the lattice has nodes."""
     rows, columns = lattice_shape(risk_map, spacing)
     rng = np.random.default_rng(seed)
     return rng.random((rows * columns, 2)) * risk_map.size
 
 
 def mirrored_points(risk_map: RiskMap, spacing: float, uv: FloatArray) -> FloatArray:
-    """Mirror images (F, 2) beyond the map's outer edge of the nodes near it [m]."""
+    """Mirror images (F, 2) of the nodes near the map's edge, beyond it [m]."""
     images = []
     for axis, side in ((0, 0.0), (1, 0.0), (0, risk_map.size[0]), (1, risk_map.size[1])):
         near = uv[np.abs(uv[:, axis] - side) < MIRROR_DISTANCE * spacing].copy()
@@ -112,27 +113,22 @@ def mirrored_points(risk_map: RiskMap, spacing: float, uv: FloatArray) -> FloatA
 
 
 def gradient_points(risk_map: RiskMap, spacing: float, seed: int) -> FloatArray:
-    """Random samples in map axes, as many as the lattice has nodes, denser where alpha changes.
+    """Random samples (K, 2) in map axes [m], denser where alpha changes, as many as lattice nodes.
 
     The density is proportional to 1 + |grad alpha| / mean |grad alpha| (the paper's outlook,
     section III-B). Obstacle cells take the loss of the nearest free cell.
     """
     rows, columns = lattice_shape(risk_map, spacing)
     rng = np.random.default_rng(seed)
-    weight = np.cumsum(_gradient_weights(risk_map).ravel())
+    alpha = np.pad(risk_map.nearest_free_alpha(), 1, mode='edge')
+    slope = np.hypot(alpha[1:-1, 2:] - alpha[1:-1, :-2], alpha[2:, 1:-1] - alpha[:-2, 1:-1])
+    weight = np.cumsum(1.0 + slope.ravel() / (slope.mean() or 1.0))
     cell = np.searchsorted(weight, rng.random(rows * columns) * weight[-1], side='right')
     row, column = np.divmod(np.minimum(cell, weight.size - 1), risk_map.alpha.shape[1])
     corner = np.stack((column, row), axis=1)
     return (corner + rng.random(corner.shape)) * risk_map.resolution
 
 
-def _gradient_weights(risk_map: RiskMap) -> FloatArray:
-    alpha = np.pad(risk_map.nearest_free_alpha(), 1, mode='edge')
-    slope = np.hypot(alpha[1:-1, 2:] - alpha[1:-1, :-2], alpha[2:, 1:-1] - alpha[:-2, 1:-1])
-    mean = slope.mean()
-    return np.ones_like(slope) if mean == 0.0 else 1.0 + slope / mean
-
-
-# Random samples, joined by Delaunay's triangulation, by the network's method.
+# Samplers of the methods that join random samples by a Delaunay triangulation.
 SAMPLES: Mapping[str, Callable[[RiskMap, float, int], FloatArray]] = MappingProxyType(
     {'random_delaunay': random_points, 'gradient_delaunay': gradient_points})

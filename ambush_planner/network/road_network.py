@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The network of a trip on roads: a node at each junction and bend, and at least every spacing.
+"""The network of a trip on roads: nodes at all junctions and bends, and at least every spacing.
 
-The edges lie on the roads' own lines. Start, stops and goal are joined to the nearest place on a
-road by an edge of their own, unless they lie on it.
+Edges lie on the roads' own lines. Start, stops and goal that do not lie on a road are joined to the
+nearest place on one by a straight edge.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
 from ..maps.vector_file import placement_hint
 from .shortest_paths import edge_matrix, reachable_from
-from .trip_graph import Position, TripGraph, named, position_errors
+from .trip_graph import Position, TripGraph, position_errors, position_text
 
 # Distance at which a position is on a road, or at one of its nodes [m].
 ON_ROAD = 1e-3
 
 
 def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
-    """The roads in the map's coordinates, without the pieces beyond its bounds.
+    """Return the roads in the map's coordinates, without pieces beyond its bounds.
 
-    Raises InvalidOption if there is none, and it is known why.
+    Raises InvalidOption if none is left for a known reason.
     """
     given, roads = roads, in_map_frame(roads, risk_map.crs)
     uv = risk_map.to_map_axes(roads.points)[roads.pairs]
@@ -44,10 +44,10 @@ def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
 
 @lru_cache(4)
 def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
-    """The roads in the coordinates of a map with the coordinate system ``crs`` [m].
+    """Return the roads in the coordinates of a map with the coordinate system ``crs`` [m].
 
-    Without one, roads in metres are assumed to be in the map's. Raises InvalidOption if they are in
-    another unit.
+    Roads in metres without a coordinate system are taken to be in the map's. Raises InvalidOption
+    if they are in another unit.
     """
     if not roads.crs:
         return roads
@@ -63,14 +63,14 @@ def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
 
 
 def road_length(roads: RoadGraph) -> float:
-    """The length of all roads [m], in one direction."""
+    """Return the length of all roads [m], each in one direction."""
     return float(np.hypot(*(roads.points[roads.pairs[:, 1]] - roads.points[roads.pairs[:, 0]]).T)
                  .sum())
 
 
 @dataclass(eq=False)
 class _Pieces:
-    """Roads cut into pieces between nodes, as in ``RoadGraph``, while ends are joined to them."""
+    """Roads as pieces between nodes, as in ``RoadGraph``, to which ends are being joined."""
 
     points: FloatArray
     pairs: IndexArray
@@ -81,15 +81,15 @@ class _Pieces:
         return len(self.points) - 1
 
     def nearest(self, place: FloatArray) -> tuple[float, int, FloatArray]:
-        """Distance, number and nearest point of the piece that is nearest to a place."""
+        """Find the nearest piece to a place: distance, number, and its nearest point."""
         a, b = self.points[self.pairs[:, 0]], self.points[self.pairs[:, 1]]
         feet = nearest_on_segments(place, a, b)
-        far = np.hypot(*(feet - place).T)
-        piece = int(np.argmin(far))
-        return float(far[piece]), piece, feet[piece]
+        distance = np.hypot(*(feet - place).T)
+        piece = int(np.argmin(distance))
+        return float(distance[piece]), piece, feet[piece]
 
-    def nodenamed(self, piece: int, foot: FloatArray) -> int:
-        """The node at a point of a piece, which is cut there unless it ends there."""
+    def node_at(self, piece: int, foot: FloatArray) -> int:
+        """Return the node at a point of a piece; cut the piece there unless it ends there."""
         a, b = self.pairs[piece].tolist()
         for node in (a, b):
             if np.hypot(*(self.points[node] - foot)) <= ON_ROAD:
@@ -103,7 +103,7 @@ class _Pieces:
 def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
                     ends: dict[str, Position], spacing: float, clearance: float,
                     join_distance: float) -> TripGraph:
-    """Cut the roads, join the ends and check the way; errors name the ends by their roles.
+    """Cut the roads at least every ``spacing`` [m], and join the ends, given by name, to them.
 
     Raises StartBlocked, StopBlocked or GoalBlocked if no road is within ``join_distance`` [m], or
     an obstacle lies in between; NoRoute if the roads do not connect the ends.
@@ -126,8 +126,8 @@ def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
         tail, head = risk_map.to_map_axes(np.stack((place, pieces.points[node])))
         if not field.clear_segments(tail[None], head[None], clearance)[0]:
             raise position_errors(name)[1](
-                f'{named(name, position)}: an obstacle lies between it and the nearest road; '
-                'move it')
+                f'{position_text(name, position)}: an obstacle lies between it and the nearest '
+                'road; move it')
         links.append((node, pieces.add_node(place)))
         link_speeds.append(pieces.speeds[(pieces.pairs == node).any(axis=1)].max())
         visits[position] = links[-1][1]
@@ -140,7 +140,7 @@ def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
 
 
 def _cut(roads: RoadGraph, spacing: float) -> RoadGraph:
-    """Cut the roads into equal parts of at most ``spacing`` [m] between their own places."""
+    """Cut each piece of road into equal parts of at most ``spacing`` [m]."""
     a, b = roads.points[roads.pairs[:, 0]], roads.points[roads.pairs[:, 1]]
     count = np.maximum(np.ceil(np.hypot(*(b - a).T) / spacing - 1e-9), 1.0).astype(np.int64)
     road, k = members(count)
@@ -157,21 +157,21 @@ def _cut(roads: RoadGraph, spacing: float) -> RoadGraph:
 
 
 def _join(pieces: _Pieces, name: str, position: Position, join_distance: float) -> int:
-    """The node on the nearest road to a position."""
-    far, piece, foot = np.inf, 0, np.zeros(2)
+    """Return the node at the place on a road that is nearest to a position."""
+    distance, piece, foot = np.inf, 0, np.zeros(2)
     if len(pieces.pairs):
-        far, piece, foot = pieces.nearest(np.array(position))
-    if far > join_distance:
-        nearest = (f'{far:.1f} m from the nearest road, at ({foot[0]:.1f}, {foot[1]:.1f})'
-                   if far < np.inf else 'on a map without roads')
+        distance, piece, foot = pieces.nearest(np.array(position))
+    if distance > join_distance:
+        nearest = (f'{distance:.1f} m from the nearest road, at ({foot[0]:.1f}, {foot[1]:.1f})'
+                   if distance < np.inf else 'on a map without roads')
         raise position_errors(name)[1](
-            f'{named(name, position)} is {nearest}; move it, or raise join_distance '
+            f'{position_text(name, position)} is {nearest}; move it, or raise join_distance '
             f'({join_distance:g} m)')
-    return pieces.nodenamed(piece, foot)
+    return pieces.node_at(piece, foot)
 
 
 def _graph(risk_map: RiskMap, pieces: _Pieces, visits: tuple[int, ...], timed: bool) -> TripGraph:
-    """The graph of the pieces, without places that no piece leads to."""
+    """Make the graph of the pieces, without nodes that no piece leads to."""
     used, pairs = np.unique(pieces.pairs, return_inverse=True)
     pairs = pairs.reshape(-1, 2)
     points = pieces.points[used]
@@ -193,13 +193,13 @@ def _check_connected(graph: TripGraph, ends: dict[str, Position], blocked: int) 
     for name, node in nodes.items():
         for reached, one, other in ((from_start, 'start', name), (from_goal, name, 'goal')):
             if not reached[node]:
-                raise NoRoute(f'no road leads from {named(one, ends[one])} to '
-                              f'{named(other, ends[other])}: '
-                              f'{_why(graph, nodes[one], nodes[other], blocked)}')
+                raise NoRoute(f'no road leads from {position_text(one, ends[one])} to '
+                              f'{position_text(other, ends[other])}: '
+                              f'{_obstruction(graph, nodes[one], nodes[other], blocked)}')
 
 
-def _why(graph: TripGraph, one: int, other: int, blocked: int) -> str:
-    """Why no road leads from one node to another: one-way roads, or parts apart."""
+def _obstruction(graph: TripGraph, one: int, other: int, blocked: int) -> str:
+    """Say why no road leads from one node to another: one-way roads, or separate parts."""
     count = len(graph.points)
     matrix = edge_matrix(graph.edges, np.ones(len(graph.edges)), count)
     parts, part = connected_components(matrix, directed=False)
@@ -208,11 +208,12 @@ def _why(graph: TripGraph, one: int, other: int, blocked: int) -> str:
     pairs = np.unique(np.sort(graph.edges, axis=1), axis=0)
     length = np.hypot(*(graph.points[pairs[:, 1]] - graph.points[pairs[:, 0]]).T)
     km = np.bincount(part[pairs[:, 0]], length, parts) / 1000.0
-    here, there = (graph.points[part == part[node]] for node in (one, other))
-    distance, nearest = cKDTree(there).query(here)
+    own, others = (graph.points[part == part[node]] for node in (one, other))
+    distance, nearest = cKDTree(others).query(own)
     k = int(np.argmin(distance))
+    (x, y), (u, v) = own[k], others[nearest[k]]
     cut = f'; obstacles of the map block {blocked} pieces of road' if blocked else ''
     return (f'they are on two of {parts} separate parts, of {km[part[one]]:.3g} and '
-            f'{km[part[other]]:.3g} km, {distance[k]:.3g} m apart at ({here[k][0]:.1f}, '
-            f'{here[k][1]:.1f}) and ({there[nearest[k]][0]:.1f}, {there[nearest[k]][1]:.1f}){cut}; '
+            f'{km[part[other]]:.3g} km, {distance[k]:.3g} m apart at ({x:.1f}, {y:.1f}) and '
+            f'({u:.1f}, {v:.1f}){cut}; '
             'lines meet only where they share a vertex (ambush risk draws the parts)')

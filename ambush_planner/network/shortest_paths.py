@@ -11,12 +11,12 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 
 
 def edge_matrix(edges: IndexArray, weights: FloatArray, count: int) -> csr_matrix:
-    """(count, count) matrix with ``weights[k]`` at (tail, head) of edge k; zeros stay stored."""
+    """Matrix (count, count) with ``weights[k]`` at (tail, head) of edge k; zeros stay stored."""
     return csr_matrix((weights, (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
 def reachable_from(edges: IndexArray, count: int, node: int) -> BoolArray:
-    """Return the nodes (count,) that can be reached from ``node``."""
+    """Mark the nodes (count,) that can be reached from ``node``."""
     found = breadth_first_order(edge_matrix(edges, np.ones(len(edges)), count), node,
                                 return_predecessors=False)
     reached = np.zeros(count, dtype=bool)
@@ -25,7 +25,7 @@ def reachable_from(edges: IndexArray, count: int, node: int) -> BoolArray:
 
 
 def on_some_route(edges: IndexArray, count: int, source: int, target: int) -> BoolArray:
-    """Return the nodes (count,) on some path from ``source`` to ``target``."""
+    """Mark the nodes (count,) on some path from ``source`` to ``target``."""
     return reachable_from(edges, count, source) & reachable_from(edges[:, ::-1], count, target)
 
 
@@ -38,11 +38,11 @@ def distances_from(edges: IndexArray, weights: FloatArray, count: int, node: int
 def shortest_path(edges: IndexArray, weights: FloatArray, count: int, source: int,
                   target: int) -> IndexArray:
     """Nodes (K,) of a path of least weight >= 0 from source to target; empty if there is none."""
-    distance, before = dijkstra(edge_matrix(edges, weights, count), indices=source,
-                                return_predecessors=True)
+    distance, predecessor = dijkstra(edge_matrix(edges, weights, count), indices=source,
+                                     return_predecessors=True)
     if not np.isfinite(distance[target]):
         return np.empty(0, dtype=np.int64)
     nodes = [target]
     while nodes[-1] != source:
-        nodes.append(int(before[nodes[-1]]))
+        nodes.append(int(predecessor[nodes[-1]]))
     return np.array(nodes[::-1], dtype=np.int64)

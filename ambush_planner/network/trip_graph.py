@@ -26,7 +26,7 @@ Position = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class TripGraph:
-    """Directed graph of the drivable ground of a trip: its nodes, edges, start, stops and goal.
+    """Directed graph of the ground on which a trip can be driven, with its start, stops and goal.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class TripGraph:
     ground: GroundLengths | None = None
 
     def networks(self) -> tuple[Network, ...]:
-        """The network of each leg, without the edges into its source or out of its target.
+        """Make the network of each leg, without edges into its source or out of its target.
 
         All legs have the same nodes.
         """
@@ -69,12 +69,12 @@ class TripGraph:
                        self.refined, length)
 
 
-def named(name: str, position: Position) -> str:
-    """A start, stop or goal in messages."""
+def position_text(name: str, position: Position) -> str:
+    """Return a start, stop or goal with its position, for messages."""
     return f'{name} ({position[0]:.3f}, {position[1]:.3f})'
 
 
 def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:
-    """The errors for a start, stop or goal off the map, and for a blocked one."""
+    """Return the errors for a start, stop or goal off the map, and for one that is blocked."""
     return {'start': (StartOutsideMap, StartBlocked), 'goal': (GoalOutsideMap, GoalBlocked)}.get(
         name, (StopOutsideMap, StopBlocked))

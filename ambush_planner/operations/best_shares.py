@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Best shares of given paths of a trip's legs: the LP over them."""
+"""The best shares of given paths of a trip's legs: a master LP with constraint generation."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ..errors import BudgetInfeasible
 from ..game.value import highs
 from ..game.value.mixtures import mixture_lp
 
-# Sites with which the LP begins, those that join at once, and its relative precision.
-FIRST_SITES, MORE_SITES, PRECISE = 20, 10, 1e-4
+# Number of sites with which the LP begins, number that is added at once, and relative tolerance.
+FIRST_SITES, ADDED_SITES, TOLERANCE = 20, 10, 1e-4
 
 
 class BestShares(NamedTuple):
-    """The best shares (k,) of some paths, the ``columns`` (k,), and their value.
+    """Optimal shares (k,) of some paths, the ``columns`` (k,), and their value.
 
-    A path j with ``reduced_costs[j]`` < 0 lowers the value if it joins. No mixture of any paths has
-    a value below the sum of ``bounds`` (legs,).
+    Adding a path j with ``reduced_costs[j]`` < 0 lowers the value. The sum of ``bounds`` (legs,) is
+    a lower bound for all mixtures of all paths.
     """
 
     columns: IndexArray
@@ -32,7 +32,7 @@ class BestShares(NamedTuple):
     bounds: FloatArray
 
     def of_all(self, leg: IndexArray, least: float = 0.0) -> FloatArray:
-        """The shares of all paths, given their legs (K,), those up to ``least`` left out.
+        """Return the shares (K,) of all paths, given their legs (K,); those up to ``least`` are 0.
 
         Raises BudgetInfeasible if no shares are within the budget.
         """
@@ -45,11 +45,11 @@ class BestShares(NamedTuple):
 
 
 class SharesLP:
-    """Paths of some legs (K,) that cause ``losses`` (S, K) at sites; losses of legs add up.
+    """LP over paths (K,), each of a ``leg``, with ``losses`` (S, K) at sites.
 
-    Each leg has a budget, and the mean of its paths' ``costs`` (K,) is at most 1. A site has a row
-    in the LP once it matters. More sites may join ``losses`` at its end. ``solve`` raises TimeLimit
-    at the ``deadline`` (``time.monotonic``).
+    Losses are summed over legs. The mean of the ``costs`` (K,) of each leg's paths is at most 1.
+    Violated sites get rows in the LP. Sites may be appended to ``losses``. ``solve`` raises
+    TimeLimit at the ``deadline`` (``time.monotonic``).
     """
 
     def __init__(self, losses: FloatArray | csr_matrix, costs: FloatArray, leg: IndexArray,
@@ -58,13 +58,13 @@ class SharesLP:
         self.sites = np.argsort(-np.asarray(losses.mean(axis=1)).ravel())[:FIRST_SITES]
 
     def solve(self, columns: IndexArray | None = None) -> BestShares:
-        """The best shares of ``columns`` (k,), by default of all; the value is inf if none fit."""
+        """Find the best shares of ``columns`` (k,), by default of all; if infeasible, value inf."""
         columns = np.arange(len(self.costs)) if columns is None else columns
         losses = self.losses[:, columns]
         while True:
             sites = self.sites
             value, shares, q, prices = self._vertex(csr_matrix(losses[sites]), columns)
-            if not self.misses(losses @ shares, value):
+            if not self.add_violated(losses @ shares, value):
                 break
         column_costs = q @ self.losses[sites] + prices[self.leg] * self.costs
         bounds = self._least(column_costs, np.arange(len(self.costs))) - prices
@@ -73,21 +73,21 @@ class SharesLP:
                           np.maximum(bounds, 0.0) / max(float(q.sum()), 1.0))
 
     def _least(self, column_costs: FloatArray, columns: IndexArray) -> FloatArray:
-        """The least cost (legs,) of each leg's columns among some."""
+        """Least cost (legs,) among each leg's ``columns``."""
         least = np.full(self.leg.max() + 1, np.inf)
         np.minimum.at(least, self.leg[columns], column_costs[columns])
         return least
 
-    def misses(self, losses: FloatArray, value: float) -> bool:
-        """Let some sites join that cause more than a value found without them."""
-        worst = np.argsort(-losses)[:MORE_SITES]
-        worst = np.setdiff1d(worst[losses[worst] > value * (1.0 + PRECISE)], self.sites)
+    def add_violated(self, losses: FloatArray, value: float) -> bool:
+        """Add the worst sites whose ``losses`` (S,) exceed a value; return whether any does."""
+        worst = np.argsort(-losses)[:ADDED_SITES]
+        worst = np.setdiff1d(worst[losses[worst] > value * (1.0 + TOLERANCE)], self.sites)
         self.sites = np.append(self.sites, worst)
         return len(worst) > 0
 
     def _vertex(self, losses: csr_matrix, columns: IndexArray
                 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-        """Value and shares (k,) of the LP with a row for each site, and duals: q (S,), prices.
+        """Solve the LP with given rows: value, shares (k,), and duals q (S,) and prices (legs,).
 
         The value is inf if no shares are within the budgets. Raises TimeLimit.
         """

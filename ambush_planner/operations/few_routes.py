@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Few routes: the best mixture that we can find of at most K paths a leg that are driven.
+"""Few routes: a good mixture of at most K driven paths a leg.
 
-Which K paths are best is a hard combinatorial problem. Candidates are drawn from the plan's
-strategies, which know where to drive; a linear program on the networks chooses some of them, and
-these are driven. Among them the search leaves out one after the other, and exchanges one at a time
-while the value falls, on a matrix of sites and paths. Each result is judged anywhere on the map,
-and places that are worse than known join the matrix (constraint generation). The legs of a trip
-share the sites, so the paths of all of them are chosen at once.
+The choice of the best K paths is a hard combinatorial problem. Candidates are drawn from the plan's
+strategies; a linear program on the networks selects some of them, whose driven paths become the
+columns of a matrix of losses. A local search then drops columns one by one, and exchanges single
+columns while the value falls. Each result is judged on the whole map, and violated sites are added
+to the matrix (constraint generation). The legs of a trip share the sites, so the paths of all legs
+are chosen together.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from .path_mixtures import PathMixture, PathMixtures, check_judged
 MAX_ROUTES = 100
 # Number of routes drawn to find different ones.
 DRAWN = 1000
-# Numbers of routes whose values make the curve.
+# Numbers of routes for which the curve has values.
 CURVE = (1, 2, 4, 6, 10, 20)
-# Drawn routes that are driven, to choose from.
+# Maximum number of candidate paths of a leg.
 CANDIDATES = 150
 # Minimum share of a route.
 MIN_SHARE = 1e-9
 # Minimum gain of an exchange, as a share of the value.
 MIN_GAIN = 2e-3
-# How far the value on the map may exceed that at known sites, as a share of the value.
+# Maximum excess of the value on the map over that at known sites, as a share of the latter.
 MAX_MISSED = 5e-3
-# In each exchange: routes that are tried in addition, and those tried to be left out for them.
+# Numbers of columns that each exchange tries to add, and to drop in return.
 JOIN, LEAVE = 4, 3
 # Maximum number of rounds of exchanges and judgements on the map.
 ROUNDS = 5
@@ -57,14 +57,12 @@ _Valued = TypeVar('_Valued', PathMixture, BestShares)
 
 def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
                deadline: float = math.inf) -> FewRoutes:
-    """The best mixture that we can find of at most ``most`` routes a leg within its budget.
+    """Find a good mixture of at most ``most`` routes a leg within the length budgets.
 
     ``rng`` draws the candidates, by default from the operating system's entropy. At the
-    ``deadline`` (``time.monotonic``) it is the best mixture so far, and the curve has no smaller
-    numbers of routes that were not tried.
-
-    Raises InvalidOption if each leg has fewer different routes, and as ``check_judged``; TimeLimit,
-    with the plan's first strategy, if there is no mixture at the deadline.
+    ``deadline`` (``time.monotonic``), returns the incumbent; its curve then lacks smaller numbers
+    of routes. Raises InvalidOption if no leg has that number of different routes, and as
+    ``check_judged``; TimeLimit, with the plan's first strategy, if there is no incumbent then.
     """
     check_judged(plan.options.game)
     if not plan.trip.value > 0.0:
@@ -73,47 +71,50 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     rng = rng or np.random.default_rng()
     drawn = [{route.tobytes(): route for route in leg.sample_routes(DRAWN, rng)}
              for leg in plan.legs]
-    routes = [route for own in drawn for route in own.values()]
+    routes = [route for different in drawn for route in different.values()]
     leg = np.repeat(np.arange(len(drawn)), list(map(len, drawn)))
     count = int(np.bincount(leg).max())
     if not 1 <= most <= min(count, MAX_ROUTES):
         raise InvalidOption(f'routes must be from 1 to {min(count, MAX_ROUTES)}: of {DRAWN} '
                             f'drawn routes, {count} are different; got {most}')
     try:
-        routes, leg, costs = _promising(plan, routes, leg, max(CANDIDATES, most), deadline)
+        routes, leg, costs = _choose_candidates(plan, routes, leg, max(CANDIDATES, most), deadline)
         paths = [path for k, corridors in enumerate(corridors_of(plan)) for path in driven_paths(
-            corridors, [route for route, own in zip(routes, leg, strict=True) if own == k],
+            corridors, [route for route, number in zip(routes, leg, strict=True) if number == k],
             plan.spacing, plan.options.drive.turning_radius)]
         if plan.network.seconds is None:
             costs = path_lengths(paths)
         search = _ColumnSearch(PathMixtures(plan.own_map, plan, paths, leg),
                                costs / _limits(plan)[leg], leg, deadline)
         found = search.best([*(k for k in CURVE if k < most), most])
-    except TimeLimit as late:
+    except TimeLimit as limit:
         raise TimeLimit('the time limit (strategy.time_limit) passed before a mixture of few '
-                        'routes was found; allow more time', plan.legs[0]) from late
+                        'routes was found; allow more time', plan.legs[0]) from limit
     all_shares = found[most].shares
     chosen = np.lexsort((-all_shares, leg))
     chosen = chosen[all_shares[chosen] > 0.0]
-    few, own = tuple(paths[k] for k in chosen), frozen_array(leg[chosen], np.int64)
-    shares, spent = (frozen_array(each[chosen], np.float64) for each in (all_shares, costs))
+    few, few_legs = tuple(paths[k] for k in chosen), frozen_array(leg[chosen], np.int64)
+    shares, few_costs = (frozen_array(each[chosen], np.float64) for each in (all_shares, costs))
     timed = plan.network.seconds is not None
-    trip = PathMixtures(plan.own_map, plan, few, own).strategy(shares, search.bounds,
-                                                               spent if timed else None)
-    enough = int(np.bincount(own).max())
-    curve = {min(size, enough): each.value for size, each in found.items()}
-    curve[enough] = trip.value
-    return FewRoutes(few, own, shares, trip, len(paths), spent, tuple(curve.items()))
+    trip = PathMixtures(plan.own_map, plan, few, few_legs).strategy(
+        shares, search.bounds, few_costs if timed else None)
+    used = int(np.bincount(few_legs).max())
+    curve = {min(size, used): each.value for size, each in found.items()}
+    curve[used] = trip.value
+    return FewRoutes(few, few_legs, shares, trip, len(paths), few_costs, tuple(curve.items()))
 
 
 def _limits(plan: Plan) -> FloatArray:
-    """The length budget (legs,) of each leg."""
+    """Length budget (legs,) of each leg."""
     return np.array([leg.length_budget for leg in plan.legs])
 
 
-def _promising(plan: Plan, routes: list[IndexArray], leg: IndexArray, most: int,
-               deadline: float) -> tuple[list[IndexArray], IndexArray, FloatArray]:
-    """Some routes of each leg, those of the best mixture on the networks; legs and lengths (K,)."""
+def _choose_candidates(plan: Plan, routes: list[IndexArray], leg: IndexArray, count: int,
+                       deadline: float) -> tuple[list[IndexArray], IndexArray, FloatArray]:
+    """Choose ``count`` routes a leg, first those of the best mixture on the networks.
+
+    Returns the routes, their legs (K,) and their costs (K,).
+    """
     legs = plan.trip.joint
     edges = [route_edges(legs.games[k].network, route) + legs.first[k]
              for k, route in zip(leg.tolist(), routes, strict=True)]
@@ -121,21 +122,21 @@ def _promising(plan: Plan, routes: list[IndexArray], leg: IndexArray, most: int,
     uses = csr_matrix((np.ones(len(route)), (np.concatenate(edges), route)),
                       (legs.edge_count, len(edges)))
     hit = csr_matrix(legs.entering @ uses)
-    hit.data[:] = 1.0  # however often a route comes back
+    hit.data[:] = 1.0  # a site hits a route at most once
     costs = np.concatenate([budget.cost for budget in legs.budgets]) @ uses
     losses = hit.multiply(legs.loss[:, None]).tocsr()
     best = SharesLP(losses, costs / _limits(plan)[leg], leg, deadline).solve()
-    some = _likeliest(np.lexsort((-best.shares, leg)), leg, most)
-    return [routes[k] for k in some], leg[some], costs[some]
+    chosen = _first_of_legs(np.lexsort((-best.shares, leg)), leg, count)
+    return [routes[k] for k in chosen], leg[chosen], costs[chosen]
 
 
-def _likeliest(order: IndexArray, leg: IndexArray, most: int) -> IndexArray:
-    """The first ``most`` columns of each leg in an order, given the legs (K,) of all columns."""
-    return np.concatenate([order[leg[order] == k][:most] for k in range(leg.max() + 1)])
+def _first_of_legs(order: IndexArray, leg: IndexArray, count: int) -> IndexArray:
+    """The first ``count`` columns of each leg in an order, given the legs (K,) of all columns."""
+    return np.concatenate([order[leg[order] == k][:count] for k in range(leg.max() + 1)])
 
 
 class _ColumnSearch:
-    """The choice among paths, the columns of a matrix of losses at the sites known so far."""
+    """Local search among paths, the columns of a matrix of losses at the known sites."""
 
     def __init__(self, mixtures: PathMixtures, costs: FloatArray, leg: IndexArray,
                  deadline: float) -> None:
@@ -143,157 +144,158 @@ class _ColumnSearch:
         self._lp = SharesLP(mixtures.losses.toarray(), costs, leg, deadline)
 
     def best(self, sizes: Sequence[int]) -> dict[int, PathMixture]:
-        """For each number of paths a leg, rising, the best mixture found of at most that many.
+        """Find mixtures of at most each number of paths a leg; the numbers rise.
 
-        When the time is up, only the last number still counts. Raises TimeLimit if there is no
-        mixture yet.
+        After the deadline, only the last number is still tried. Raises TimeLimit if there is no
+        mixture by then.
         """
         everything = np.arange(len(self._leg))
-        self._settled(self._lp.solve(everything), self._solved_again)
-        every = self._lp.solve(everything)
-        self.bounds = every.bounds
-        self._enough = every.value * (1.0 + MAX_MISSED)
-        count = np.count_nonzero(every.shares > MIN_SHARE)
-        used = np.argsort(-every.shares, kind='stable')[:count]
-        likeliest = self._lp.solve(_likeliest(used, self._leg, sizes[-1]))
-        nested = self._nested(self._lp.solve(used), likeliest, sizes)
+        self._add_sites(self._lp.solve(everything), self._solve_again)
+        relaxed = self._lp.solve(everything)
+        self.bounds = relaxed.bounds
+        self._target = relaxed.value * (1.0 + MAX_MISSED)
+        count = np.count_nonzero(relaxed.shares > MIN_SHARE)
+        used = np.argsort(-relaxed.shares, kind='stable')[:count]
+        likeliest = self._lp.solve(_first_of_legs(used, self._leg, sizes[-1]))
+        nested = self._drop_columns(self._lp.solve(used), likeliest, sizes)
         found: dict[int, PathMixture] = {}
         best: PathMixture | None = None
         for size in sizes:
-            if size not in nested or (self._late and size < sizes[-1]):
+            if size not in nested or (self._out_of_time and size < sizes[-1]):
                 continue
-            if best is None or best.value > self._enough:
-                improved = partial(self._improved, size=size)
-                mixture = self._settled(improved(nested[size]), improved)
+            if best is None or best.value > self._target:
+                improve = partial(self._improve, size=size)
+                mixture = self._add_sites(improve(nested[size]), improve)
                 best = _better_of([best, mixture]) if best else mixture
             found[size] = best
         return found
 
     @property
-    def _late(self) -> bool:
+    def _out_of_time(self) -> bool:
         return time.monotonic() > self._lp.deadline
 
-    def _settled(self, choice: BestShares,
-                 better: Callable[[BestShares], BestShares]) -> PathMixture:
-        """The best mixture that choices lead to; worse places on the map join the sites."""
-        found: list[PathMixture] = []
-        while True:
-            found.append(self._mixtures.judged(choice.of_all(self._leg, MIN_SHARE)))
-            self._lp.losses = self._mixtures.losses.toarray()
-            good = found[-1].value <= choice.value * (1.0 + MAX_MISSED)
-            if good or self._late or len(found) == ROUNDS:
-                return _better_of(found)
-            choice = better(choice)
+    def _add_sites(self, choice: BestShares,
+                   improve: Callable[[BestShares], BestShares]) -> PathMixture:
+        """Judge a choice on the map, add the sites found, and ``improve`` it, until none is added.
 
-    def _solved_again(self, choice: BestShares) -> BestShares:
-        """The same columns, on the sites known now; as they were if the time is up."""
+        Returns the best mixture judged.
+        """
+        judged: list[PathMixture] = []
+        while True:
+            judged.append(self._mixtures.judge(choice.of_all(self._leg, MIN_SHARE)))
+            self._lp.losses = self._mixtures.losses.toarray()
+            good = judged[-1].value <= choice.value * (1.0 + MAX_MISSED)
+            if good or self._out_of_time or len(judged) == ROUNDS:
+                return _better_of(judged)
+            choice = improve(choice)
+
+    def _solve_again(self, choice: BestShares) -> BestShares:
+        """Find the best shares of the same columns at the sites known now, if time is left."""
         try:
             return self._lp.solve(choice.columns)
         except TimeLimit:
             return choice
 
-    def _nested(self, choice: BestShares, likeliest: BestShares,
-                sizes: Sequence[int]) -> dict[int, BestShares]:
-        """Columns for each size: one after the other is left out, that which matters least.
+    def _drop_columns(self, choice: BestShares, likeliest: BestShares,
+                      sizes: Sequence[int]) -> dict[int, BestShares]:
+        """Drop the least important column one by one; returns the choice for each size.
 
-        If the time is up, small sizes are missing, and the last one has at least the ``likeliest``.
+        After the deadline, small sizes are missing, and the last one is at least ``likeliest``.
         """
         found: dict[int, BestShares] = {}
         try:
             for size in sorted(sizes, reverse=True):
                 while (most := self._counts(choice.columns).max()) > size:
-                    choice = self._without_one(choice, size, LEAVE if most <= 2 * size else 1)
+                    choice = self._drop_one(choice, size, LEAVE if most <= 2 * size else 1)
                 found[size] = choice
         except TimeLimit:
             found.setdefault(sizes[-1], likeliest)
         return found
 
-    def _improved(self, choice: BestShares, size: int) -> BestShares:
-        """Let one column join, and one of its leg leave if there are too many, while it helps.
+    def _improve(self, choice: BestShares, size: int) -> BestShares:
+        """Exchange columns of a choice, or of one that is good in equal shares, while it helps.
 
-        From this choice, or one that is good in equal shares (without that, values of 24 mixtures
-        rose by 1 % on average, and by up to 8 %).
+        Without the latter, values of 24 mixtures rose by 1 % on average, and by up to 8 %.
         """
-        choice = self._solved_again(choice)
+        choice = self._solve_again(choice)
         with suppress(TimeLimit):
             choice = _better_of([choice, self._lp.solve(self._good_in_equal_shares(size))])
-            while choice.value > self._enough and (better := self._better(choice, size)):
+            while choice.value > self._target and (better := self._exchange(choice, size)):
                 choice = better
         return choice
 
-    def _better(self, choice: BestShares, size: int) -> BestShares | None:
+    def _exchange(self, choice: BestShares, size: int) -> BestShares | None:
+        """Add one column, and drop one if its leg has more than ``size``; None if none gains."""
         reduced_costs = choice.reduced_costs.copy()
         reduced_costs[choice.columns] = np.inf
         for column in np.argsort(reduced_costs)[:JOIN]:
             other = self._lp.solve(np.append(choice.columns, column))
-            enough = choice.value * (1.0 - MIN_GAIN)
-            if other.value < enough and self._counts(other.columns).max() > size:
-                other = self._without_one(other, size, LEAVE)
-            if other.value < enough:
+            target = choice.value * (1.0 - MIN_GAIN)
+            if other.value < target and self._counts(other.columns).max() > size:
+                other = self._drop_one(other, size, LEAVE)
+            if other.value < target:
                 return other
         return None
 
     def _counts(self, columns: IndexArray) -> IndexArray:
-        """The number (legs,) of each leg's columns."""
+        """Number (legs,) of each leg's columns."""
         return np.bincount(self._leg[columns], minlength=self._leg[-1] + 1)
 
-    def _without_one(self, choice: BestShares, size: int, few: int) -> BestShares:
-        """The best choice without one of the ``few`` columns of smallest shares.
-
-        Of the legs that have more than ``size``.
-        """
+    def _drop_one(self, choice: BestShares, size: int, tries: int) -> BestShares:
+        """Drop the best of ``tries`` small columns of the legs that have more than ``size``."""
         too_many = (self._counts(choice.columns) > size)[self._leg[choice.columns]]
         return _better_of([self._lp.solve(np.delete(choice.columns, k))
-                           for k in np.lexsort((choice.shares, ~too_many))[:few] if too_many[k]])
+                           for k in np.lexsort((choice.shares, ~too_many))[:tries] if too_many[k]])
 
     def _good_in_equal_shares(self, size: int) -> IndexArray:
-        """``size`` columns a leg that join one by one, and are then exchanged, in equal shares."""
+        """Choose ``size`` columns a leg, greedily and then by exchanges, for equal shares."""
         columns = np.zeros(0, dtype=np.int64)
-        wanted = np.minimum(np.bincount(self._leg), size)
-        while len(columns) < wanted.sum():
-            leg = int((self._counts(columns) / wanted).argmin())
-            own, values = self._smooth(columns, SMOOTH[0], leg)
-            columns = np.append(columns, own[values.argmin()])
+        counts = np.minimum(np.bincount(self._leg), size)
+        while len(columns) < counts.sum():
+            leg = int((self._counts(columns) / counts).argmin())
+            candidates, values = self._smooth_values(columns, SMOOTH[0], leg)
+            columns = np.append(columns, candidates[values.argmin()])
         while True:
             for smooth in SMOOTH:
-                columns = self._exchanged_equal(columns, smooth)
+                columns = self._exchange_equal(columns, smooth)
             mean = self._lp.losses[:, columns] @ (1.0 / self._counts(columns)[self._leg[columns]])
-            if not self._lp.misses(mean, float(mean[self._lp.sites].max())):
+            if not self._lp.add_violated(mean, float(mean[self._lp.sites].max())):
                 return columns
 
-    def _exchanged_equal(self, chosen: IndexArray, smooth: float) -> IndexArray:
+    def _exchange_equal(self, chosen: IndexArray, smooth: float) -> IndexArray:
         """Exchange the best pair of columns until none lowers the smooth value."""
         least = math.inf
         while True:
-            tried = [self._smooth(np.delete(chosen, k), smooth, int(self._leg[chosen[k]]))
+            tried = [self._smooth_values(np.delete(chosen, k), smooth, int(self._leg[chosen[k]]))
                      for k in range(len(chosen))]
-            values = [own.min() for _, own in tried]
-            leaves = int(np.argmin(values))
-            if not values[leaves] < least or self._late:
+            best = [values.min() for _, values in tried]
+            dropped = int(np.argmin(best))
+            if not best[dropped] < least or self._out_of_time:
                 return chosen
-            least, (columns, own) = values[leaves], tried[leaves]
-            chosen = np.append(np.delete(chosen, leaves), columns[own.argmin()])
+            least, (candidates, values) = best[dropped], tried[dropped]
+            chosen = np.append(np.delete(chosen, dropped), candidates[values.argmin()])
 
-    def _smooth(self, chosen: IndexArray, smooth: float, leg: int) -> tuple[IndexArray, FloatArray]:
-        """Columns (k,) of a leg, and the smooth value of equal shares if each joins those chosen.
+    def _smooth_values(self, chosen: IndexArray, smooth: float,
+                       leg: int) -> tuple[IndexArray, FloatArray]:
+        """Columns (k,) of a leg, and the smooth value of equal shares if each is added to chosen.
 
-        It is inf for a column that is chosen.
+        It is inf for a column that is chosen already.
         """
-        counts, joining = self._counts(chosen), np.flatnonzero(self._leg == leg)
+        counts, added = self._counts(chosen), np.flatnonzero(self._leg == leg)
         counts[leg] += 1
         weights = 1.0 / counts[self._leg[chosen]]
         known = self._lp.losses[self._lp.sites]
-        losses = (known[:, chosen] @ weights)[:, None] + known[:, joining] / counts[leg]
-        of_all = weights * self._lp.costs[chosen]
-        costs = np.bincount(self._leg[chosen], of_all, len(counts))[:, None] + np.where(
-            np.arange(len(counts))[:, None] == leg, self._lp.costs[joining] / counts[leg], 0.0)
-        top, smooth = losses.max(axis=0), smooth * self._enough or smooth
+        losses = (known[:, chosen] @ weights)[:, None] + known[:, added] / counts[leg]
+        chosen_costs = weights * self._lp.costs[chosen]
+        costs = np.bincount(self._leg[chosen], chosen_costs, len(counts))[:, None] + np.where(
+            np.arange(len(counts))[:, None] == leg, self._lp.costs[added] / counts[leg], 0.0)
+        top, smooth = losses.max(axis=0), smooth * self._target or smooth
         value = top + smooth * np.log(np.exp((losses - top) / smooth).sum(axis=0))
-        value += OVERRUN * self._enough * np.maximum(costs - 1.0, 0.0).sum(axis=0)
-        value[np.isin(joining, chosen)] = np.inf
-        return joining, np.asarray(value)
+        value += OVERRUN * self._target * np.maximum(costs - 1.0, 0.0).sum(axis=0)
+        value[np.isin(added, chosen)] = np.inf
+        return added, np.asarray(value)
 
 
 def _better_of(found: Sequence[_Valued]) -> _Valued:
-    """The one of least value; of equal ones, the first."""
+    """Return the one of least value; of equal ones, the first."""
     return min(found, key=lambda each: each.value)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy.typing as npt
 
@@ -31,11 +32,11 @@ MEASURED = (
 
 @dataclass(frozen=True)
 class FrontierRow:
-    """Measures of the strategy for one pair of budgets.
+    """Measures of the strategy for one length budget and risk slack.
 
-    ``swept`` is the option that varies, 'max_detour' or 'risk_slack'; lengths are in m, or in s if
-    the network has driving times, exposures in loss x m, route entropy in nats. Without a strategy,
-    ``error`` says why and the numbers are NaN.
+    ``swept`` is the option that varies, 'max_detour' or 'risk_slack'. Lengths are in m, or in s if
+    the network has driving times, exposures in loss x m, route entropy in nats. If there is no
+    strategy, ``error`` is the reason, and the numbers are NaN.
     """
 
     swept: str
@@ -53,12 +54,12 @@ class FrontierRow:
 def frontier(network: Network, game: GameOptions | None = None, detours: Sequence[float] = DETOURS,
              slacks: Sequence[float] = SLACKS, options: StrategyOptions | None = None,
              on_row: Callable[[FrontierRow], None] | None = None) -> tuple[FrontierRow, ...]:
-    """Solve for each of ``detours``, then for each of ``slacks``, the rest as in ``options``.
+    """Solve for each of ``detours``, then for each of ``slacks``, otherwise as in ``options``.
 
-    The values are those of ``solve``, at the network's nodes; ``Plan.frontier`` gives those of
-    plans. ``on_row`` is called with each finished row, the longest detour first; the result has the
-    requested order. ``options.time_limit`` applies to
-    each solve; at the limit the row is that of the best strategy so far, with its bound.
+    Values are those of ``solve``, at the network's nodes; ``Plan.frontier`` has those of plans.
+    ``on_row`` is called with each finished row, the longest detour first; the result has the
+    requested order. ``options.time_limit`` applies to each solve; at the limit, the row is that of
+    the incumbent.
 
     Raises
     ------
@@ -76,10 +77,7 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     tasks = _tasks(detours, slacks, options or StrategyOptions())
     games = make_games((network,), game or GameOptions())
 
-    def solved(budgets: StrategyOptions) -> TripStrategy:
-        return solve_legs(games, budgets)
-
-    return _rows(solved, tasks, on_row)
+    return _rows(partial(solve_legs, games), tasks, on_row)
 
 
 def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
@@ -88,10 +86,10 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
                   on_row: Callable[[FrontierRow], None] | None = None, *,
                   stops: Sequence[npt.ArrayLike] = (),
                   planned: TripStrategy | None = None) -> tuple[FrontierRow, ...]:
-    """The rows of ``frontier`` for the plans of a trip: their values are those of ``plan_trip``.
+    """Compute the rows of ``frontier`` for plans of a trip, with the values of ``plan_trip``.
 
-    ``stops`` are as in ``Plan.stops_xy``. All rows are on the network of the strategy that was
-    ``planned`` with the options, by default now; it is one of them. Raises the errors of
+    ``stops`` are as in ``Plan.stops_xy``. All rows are on the network of the strategy ``planned``
+    with the options, which is one of them; by default it is planned now. Raises the errors of
     ``plan_trip``.
     """
     tasks = _tasks(detours, slacks, options.strategy)
@@ -100,27 +98,27 @@ def trip_frontier(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     ground = Ground.of(risk_map, options)
     networks = Trip(risk_map, start_xy, goal_xy, stops, options).networks(
         planned.game.network.refined)
-    games, site_search = ground.played(networks, WarmStart.of(planned))
+    games, site_search = ground.make_games(networks, WarmStart.of(planned))
 
-    def solved(budgets: StrategyOptions) -> TripStrategy:
+    def solve(budgets: StrategyOptions) -> TripStrategy:
         if budgets == options.strategy:
             return planned
-        return solve_legs(games, budgets, site_search and site_search.on(ground.cells))
+        return solve_legs(games, budgets, site_search and site_search.with_losses(ground.cells))
 
-    return _rows(solved, tasks, on_row)
+    return _rows(solve, tasks, on_row)
 
 
 def _tasks(detours: Sequence[float], slacks: Sequence[float],
            options: StrategyOptions) -> list[tuple[str, StrategyOptions]]:
-    """The budgets to solve, and the option of each that varies; raises InvalidOption."""
+    """The options to solve for, each after the name of the one that varies."""
     tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
     return tasks + [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
 
 
-def _rows(solved: Callable[[StrategyOptions], TripStrategy],
+def _rows(solve: Callable[[StrategyOptions], TripStrategy],
           tasks: Sequence[tuple[str, StrategyOptions]],
           on_row: Callable[[FrontierRow], None] | None) -> tuple[FrontierRow, ...]:
-    # The loosest first.
+    """Solve the tasks, the loosest first, and return their rows in order."""
     looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
     order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
     rows: dict[int, FrontierRow] = {}
@@ -130,7 +128,7 @@ def _rows(solved: Callable[[StrategyOptions], TripStrategy],
         row = FrontierRow(swept, budgets.max_detour, budgets.risk_slack)
         if budgets not in known:  # both sweeps may contain the budgets of ``options``
             try:
-                found = solved(budgets)
+                found = solve(budgets)
                 row = replace(row, **{name: getattr(found, name) for name in MEASURED})
             except (BudgetInfeasible, TimeLimit) as error:
                 row = replace(row, error=str(error))
@@ -142,9 +140,9 @@ def _rows(solved: Callable[[StrategyOptions], TripStrategy],
 
 
 def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
-    """Tighten a row with the strategies of smaller budgets and the bounds of larger ones.
+    """Improve a row by the strategies of smaller budgets and the bounds of larger ones.
 
-    A solve that ran out of time may be worse than one within tighter budgets.
+    A solve that reached its time limit may be worse than one within a smaller budget.
     """
     if row.error:
         return row

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Habits: what driven trips tell an ambusher who has watched them, and how they could be better."""
+"""Habits: the value of driven trips against an ambusher who has watched them, and better shares."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 from scipy.spatial.distance import directed_hausdorff
 from scipy.stats import binom
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray
 from ..errors import InvalidOption
 from ..game.budget import shortest_length
 from ..maps.risk_map import RiskMap
@@ -29,15 +29,15 @@ from .path_mixtures import PathMixture, PathMixtures
 NEAR = 0.05
 # Minimum step of a vehicle that moves, as a share of the reach.
 MIN_STEP = 0.05
-# Quantile of a track's steps that is a usual step.
+# Quantile of a track's steps that counts as a usual step.
 USUAL = 0.75
-# Maximum number of positions that are an outlier together, and the minimum distance of an outlier
-# from the median of the positions around it [usual steps].
+# Maximum number of consecutive positions in an outlier, and its minimum distance from the median of
+# the positions around it [usual steps].
 MAX_SPIKE, MIN_SPIKE = 3, 5.0
 # Maximum step that does not break a track [usual steps].
 MAX_STEP = 5.0
-# Maximum step that does not break a track, as a share of the distance from start to goal: of one
-# with short steps, and of any.
+# Maximum step that does not break a track, as a share of the distance from start to goal: for
+# tracks with short steps, and for all.
 MAX_BRIDGED, MAX_USUAL = 0.1, 0.6
 # Minimum overlap in time of two tracks of one trip, as a share of the shorter one.
 MIN_OVERLAP = 0.5
@@ -46,7 +46,7 @@ MIN_DETOUR = 1.05
 
 
 class LeftOut(NamedTuple):
-    """A track or trip that does not count: ``reason`` is the same for all of its kind."""
+    """A track or trip that does not count, and the ``reason``, which others may share."""
 
     name: str
     reason: str
@@ -58,10 +58,11 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Habits:
-    """Trips (K,) of ``lengths`` [m], judged by an ambusher who has watched them.
+    """Trips (K,) of ``lengths`` [m], judged as mixtures of paths.
 
-    ``driven`` has equal shares and an ``interval`` (95 %) for its value; ``best`` has the shares of
-    least value, and ``plan`` is the optimal strategy, both with no greater mean length.
+    ``driven`` has equal shares, and ``interval`` is the 95 % interval of its value. ``best`` has
+    the shares of least value, and ``plan`` is the optimal strategy, both within the same mean
+    length.
     """
 
     trips: Sequence[Track]
@@ -83,7 +84,7 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
     mean = float(lengths.mean())
     roads = options.network.roads
-    if roads and roads.timed:  # trips without times cannot be held against a time
+    if roads and roads.timed:  # trips without times cannot be compared with a time budget
         options = replace(options, network=replace(options.network,
                                                    graph=replace(roads, timed=False)))
     (network,) = Trip(risk_map, start, goal, (), options).networks(np.empty((0, 3)))
@@ -93,20 +94,20 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     plan = plan_quietly(risk_map, start, goal, options, share=PLANNED)
     if not len(plan.strategy.game.sites):
         raise InvalidOption('the secured area covers everything around start and goal, so that '
-                            'nobody can wait there: choose a smaller radius (--held)')
+                            'nobody can wait there: choose a smaller radius (--secured)')
     mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips],
                             np.zeros(len(trips), dtype=np.int64))
-    driven = mixtures.judged(np.full(len(trips), 1.0 / len(trips)))
+    driven = mixtures.judge(np.full(len(trips), 1.0 / len(trips)))
     best = mixtures.best(lengths / mean, end)
     return Habits(trips, lengths, driven, _interval(driven), best, plan)
 
 
 def _interval(driven: PathMixture) -> tuple[float, float]:
-    """The bootstrap's interval over trips for the mean loss at the worst place.
+    """Bootstrap interval of the mean loss at the worst place, over resamples of the trips.
 
-    The place stays: if each resample had its own worst place, a few trips would look worse than the
-    habits behind them. An ambush there hits a binomial number of resampled trips, whose quantiles
-    need no draws.
+    The place stays the same: with its own worst place, each resample of a few trips would look
+    worse than the habits behind them. The number of resampled trips that an ambush there hits is
+    binomial, so its quantiles need no draws.
     """
     count, hit = len(driven.hit), int(driven.hit.sum())
     low, high = driven.value * binom.ppf((0.025, 0.975), count, hit / count) / max(hit, 1)
@@ -115,11 +116,12 @@ def _interval(driven: PathMixture) -> tuple[float, float]:
 
 def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, near: float,
                reach: float) -> tuple[list[Track], list[LeftOut]]:
-    """The trips from start to goal, which are their ends, and what is left out and why.
+    """Extract the trips from start to goal, and list what is left out.
 
-    A trip leads from the last approach to the start, within ``near`` [m], to the first approach to
-    the goal after it; a track can have several. Outliers are removed, short jumps are bridged.
-    Trips driven at the same time, within ``reach`` [m] of each other, and copies count once.
+    A trip begins at its start and ends at its goal exactly. It leads from the last approach to the
+    start, within ``near`` [m], to the first approach to the goal after it; a track can have several
+    trips. Outliers are removed, short jumps are bridged. Copies, and trips driven at the same time
+    within ``reach`` [m] of each other, count once.
     """
     trips: list[Track] = []
     left_out = []
@@ -127,7 +129,7 @@ def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, nea
         for found in _trips_of(track, start, goal, near, MIN_STEP * reach):
             if isinstance(found, LeftOut):
                 left_out.append(found)
-            elif twin := next((trip for trip in trips if _is_one(found, trip, reach)), None):
+            elif twin := next((trip for trip in trips if _is_same(found, trip, reach)), None):
                 same = 'is a copy of' if found.times is None else 'is the same trip as'
                 left_out.append(LeftOut(found.name, same, f' {twin.name}'))
             else:
@@ -137,81 +139,71 @@ def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, nea
 
 def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
               min_step: float) -> Iterator[Track | LeftOut]:
-    """Yield the trips of a track, or why it has none."""
+    """Yield the trips of a track, and reasons for leaving it or parts of it out."""
     times = np.zeros(len(track.xy)) if track.times is None else track.times
-    if len(late := np.flatnonzero(np.diff(times) < 0.0)):
-        yield LeftOut(track.name, 'goes back in time', f' after position {late[0] + 1}')
+    if len(backward := np.flatnonzero(np.diff(times) < 0.0)):
+        yield LeftOut(track.name, 'goes back in time', f' after position {backward[0] + 1}')
         return
-    kept = _without_spikes(track.xy, _apart(track.xy, min_step))
+    moving, positions = [0], track.xy.tolist()
+    for k, position in enumerate(positions):
+        if math.dist(positions[moving[-1]], position) >= min_step:
+            moving.append(k)
+    kept = _drop_spikes(track.xy, moving)
     xy, times = track.xy[kept], times[kept]
-    away = np.stack([np.hypot(*(xy - end).T) for end in (start, goal)])
-    end = np.where(away.min(axis=0) <= near, away.argmin(axis=0), -1)
+    distances = np.stack([np.hypot(*(xy - end).T) for end in (start, goal)])
+    end = np.where(distances.min(axis=0) <= near, distances.argmin(axis=0), -1)
     for k, name in enumerate(('start', 'goal')):
         if k not in end:
             yield LeftOut(track.name, f'never comes within {near:.4g} m of the {name}')
             return
-    if not (legs := _legs(away, end)):
+    # Runs of positions near the start (0), near the goal (1) or at neither (-1).
+    runs = [run for run in np.split(np.arange(len(end)), np.flatnonzero(np.diff(end)) + 1)
+            if end[run[0]] >= 0]
+    trips = [(int(one[distances[0, one].argmin()]), int(other[distances[1, other].argmin()]))
+             for one, other in pairwise(runs) if (end[one[0]], end[other[0]]) == (0, 1)]
+    if not trips:
         yield LeftOut(track.name, 'leads from the goal to the start: the return trip is planned '
                       'separately')
     steps = _steps(xy)
     distance = math.dist(start, goal)
-    most = min(max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * distance),
-               max(MAX_USUAL * distance, near))
-    for number, (first, last) in enumerate(legs, start=1):
-        name = track.name if len(legs) == 1 else f'trip {number} of {track.name}'
-        if (jump := steps[first:last].max()) > most:
-            yield LeftOut(name, 'has a jump', f' of {jump:.4g} m, more than {most:.4g} m')
+    max_step = min(max(MAX_STEP * np.quantile(steps, USUAL), MAX_BRIDGED * distance),
+                   max(MAX_USUAL * distance, near))
+    for number, (first, last) in enumerate(trips, start=1):
+        name = track.name if len(trips) == 1 else f'trip {number} of {track.name}'
+        if (jump := steps[first:last].max()) > max_step:
+            yield LeftOut(name, 'has a jump', f' of {jump:.4g} m, more than {max_step:.4g} m')
             continue
         when = np.pad(times[first : last + 1], 1, mode='edge')
         yield Track(name, np.vstack((start, xy[first : last + 1], goal)),
                     None if track.times is None else when)
 
 
-def _legs(away: FloatArray, end: IndexArray) -> list[tuple[int, int]]:
-    """First and last position of each trip, from their distances (2, L) of start and goal [m].
-
-    ``end`` (L,) says which positions are near the start (0), near the goal (1) or at neither (-1).
-    """
-    runs = np.split(np.arange(len(end)), np.flatnonzero(np.diff(end)) + 1)
-    return [(int(one[away[0, one].argmin()]), int(other[away[1, other].argmin()]))
-            for one, other in pairwise(run for run in runs if end[run[0]] >= 0)
-            if (end[one[0]], end[other[0]]) == (0, 1)]
-
 
 def _steps(xy: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(*np.diff(xy, axis=0).T))
 
 
-def _apart(xy: FloatArray, step: float) -> list[int]:
-    """Indices of positions that are at least a step from the one before [m]."""
-    kept, points = [0], xy.tolist()
-    for k, point in enumerate(points):
-        if math.dist(points[kept[-1]], point) >= step:
-            kept.append(k)
-    return kept
+def _drop_spikes(xy: FloatArray, indices: list[int]) -> list[int]:
+    """Drop the indices of outliers among positions (L, 2)."""
+    points = xy[indices]
+    usual = float(np.quantile(_steps(points), USUAL)) if len(indices) > 1 else 0.0
+    medians = median_filter(points, (2 * MAX_SPIKE + 1, 1), mode='nearest')
+    near = np.hypot(*(points - medians).T) <= MIN_SPIKE * usual
+    return [k for k, is_near in zip(indices, near.tolist(), strict=True) if is_near]
 
 
-def _without_spikes(xy: FloatArray, kept: list[int]) -> list[int]:
-    """The indices ``kept`` of positions without those of outliers."""
-    points = xy[kept]
-    usual = float(np.quantile(_steps(points), USUAL)) if len(kept) > 1 else 0.0
-    around = median_filter(points, (2 * MAX_SPIKE + 1, 1), mode='nearest')
-    near = np.hypot(*(points - around).T) <= MIN_SPIKE * usual
-    return [k for k, is_near in zip(kept, near.tolist(), strict=True) if is_near]
-
-
-def _is_one(one: Track, other: Track, reach: float) -> bool:
+def _is_same(one: Track, other: Track, reach: float) -> bool:
     """Return whether two trips were driven side by side or, without times, are copies."""
     if one.times is None or other.times is None:
         return np.array_equal(one.xy, other.xy)
     (a, b), (c, d) = one.times[[0, -1]], other.times[[0, -1]]
     return min(b, d) - max(a, c) >= MIN_OVERLAP * min(b - a, d - c) and all(
-        directed_hausdorff(line, _dense(wide, reach / 2.0))[0] <= reach
-        for line, wide in ((one.xy, other.xy), (other.xy, one.xy)))
+        directed_hausdorff(line, _resample(coarse, reach / 2.0))[0] <= reach
+        for line, coarse in ((one.xy, other.xy), (other.xy, one.xy)))
 
 
-def _dense(xy: FloatArray, step: float) -> FloatArray:
-    """Positions (K, 2) on the line (L, 2), a step apart [m]."""
+def _resample(xy: FloatArray, step: float) -> FloatArray:
+    """Positions (K, 2) on the line (L, 2), a ``step`` apart [m]."""
     along = np.append(0.0, _steps(xy).cumsum())
-    at = np.arange(0.0, along[-1] + step, step)
-    return np.column_stack([np.interp(at, along, axis) for axis in xy.T])
+    places = np.arange(0.0, along[-1] + step, step)
+    return np.column_stack([np.interp(places, along, axis) for axis in xy.T])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many games at once, on any ``concurrent.futures.Executor``: threads, processes, a cluster."""
+"""Many plans at once, on any ``concurrent.futures.Executor``: threads, processes, a cluster."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..planning.trip import plan_quietly
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A map, a start, a goal and stops (x, y) [m], and options, as ``plan_trip`` takes them."""
+    """Arguments of ``plan_trip``: a map, positions (x, y) of start, goal and stops [m], options."""
 
     risk_map: RiskMap
     start_xy: tuple[float, float]
@@ -36,10 +36,10 @@ class Solved:
 
 
 def solve_many(problems: Iterable[Problem], executor: Executor) -> list[Solved]:
-    """Solve problems in parallel, as ``plan_trip`` does; the results have the problems' order.
+    """Solve problems in parallel by ``plan_trip``; the results have the order of the problems.
 
-    An error replaces only its own result. If the executor breaks (a process of a pool was killed),
-    the unsolved problems get its error.
+    An error replaces only its own result. If the executor breaks, as when a process of a pool is
+    killed, the unsolved problems get its error.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def solve_many(problems: Iterable[Problem], executor: Executor) -> list[Solved]:
     >>> [result.error for result in results]
     [None, None]
     """
-    pending = [(problem, _submitted(problem, executor)) for problem in problems]
+    pending = [(problem, _submit(problem, executor)) for problem in problems]
     try:
         return [_result(index, *each) for index, each in enumerate(pending)]
     finally:
@@ -61,7 +61,7 @@ def solve_many(problems: Iterable[Problem], executor: Executor) -> list[Solved]:
             future.cancel()
 
 
-def _submitted(problem: Problem, executor: Executor) -> Future[Plan]:
+def _submit(problem: Problem, executor: Executor) -> Future[Plan]:
     try:
         return executor.submit(_solve, problem)
     except RuntimeError as error:  # the pool broke or was shut down
@@ -71,7 +71,7 @@ def _submitted(problem: Problem, executor: Executor) -> Future[Plan]:
 
 
 def _result(index: int, problem: Problem, future: Future[Plan]) -> Solved:
-    """Wait for a result, and warn of what should be known about the plan."""
+    """Wait for a result, and warn of the plan's concerns."""
     try:
         error = future.exception()
     except CancelledError as cancelled:

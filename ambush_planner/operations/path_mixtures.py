@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mixtures of given paths: their loss against an informed ambusher, and the best shares.
+"""Mixtures of given paths: their value, and the best shares.
 
-Paths of a leg that are driven side by side are a network of their own, on which they share no node
-but start and goal. A mixture of them is a strategy on it; hits, sites and cells are those of any
-strategy, and those of legs add up.
+The paths of a leg are laid out as a network on which they share no nodes but start and goal. A
+mixture of them is a strategy on this network, so hits, sites and cells are treated as for any
+strategy.
 """
 
 from __future__ import annotations
@@ -31,17 +31,16 @@ from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.plan import Plan
 from .best_shares import SharesLP
 
-# Maximum relative gap between the best shares' value and that of the linear program.
+# Maximum relative gap between the value of the best shares and that of the linear program.
 MAX_GAP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class PathMixture:
-    """Shares (K,) of given paths.
+    """A mixture of given paths with ``shares`` (K,).
 
-    ``value`` is the mean loss by the worst ambusher who knows the shares, wherever on the ground
-    outside the secured area he waits; ``worst_xy`` (2,) is where that is [m], and ``hit`` (K,)
-    which paths he hits there.
+    ``value`` is the largest mean loss that an ambush at one place outside the secured area causes,
+    ``worst_xy`` (2,) that place [m], and ``hit`` (K,) marks the paths that it hits.
     """
 
     shares: FloatArray
@@ -51,11 +50,11 @@ class PathMixture:
 
 
 class PathMixtures:
-    """All mixtures of paths (L, 2 or 3), x and y [m] first, on each leg of a plan (K,).
+    """Mixtures of K paths (L, 2 or 3), x and y [m] first, each of a leg of a plan.
 
-    Shares (K,) add up to 1 on each leg. An ambush of the plan's reach hits a path that passes
-    within it outside the secured area, once however often it comes back, and each leg's. The
-    robot's tracking error adds to the reach, but no tube: a given path is what is driven.
+    Shares (K,) sum to 1 on each leg. An ambush hits a path that comes within its reach outside the
+    secured area, at most once per leg. The robot's tracking error adds to the reach, but no tube:
+    the given paths are driven.
 
     Raises InvalidOption if the plan's game has no reach.
     """
@@ -78,13 +77,13 @@ class PathMixtures:
         points = solved.network.points[solved.sites]
         self._add_sites(points, solved.loss[solved.sites])
 
-    def judged(self, shares: FloatArray) -> PathMixture:
-        """The mixture with given shares (K,)."""
-        least = float((self._loss * (self._hit @ shares)).max(initial=0.0))
+    def judge(self, shares: FloatArray) -> PathMixture:
+        """Compute the value of the mixture with given shares (K,)."""
+        threshold = float((self._loss * (self._hit @ shares)).max(initial=0.0))
         used = self._uses @ shares
-        # Only along the paths that have a share: of many paths, a best mixture needs few.
+        # The search covers only paths that have a share: a best mixture needs few of many.
         search = CellSearch(self._cells, self._games, used > 0.0)
-        found = search.worst(chain_of_legs(self._networks, used, self._first), least)
+        found = search.worst(chain_of_legs(self._networks, used, self._first), threshold)
         self._add_sites(found.points, found.alpha)
         losses = self._loss * (self._hit @ shares)
         worst = int(losses.argmax())
@@ -94,19 +93,19 @@ class PathMixtures:
 
     def strategy(self, shares: FloatArray, bounds: FloatArray,
                  costs: FloatArray | None = None) -> TripStrategy:
-        """The mixture with given shares (K,) as strategies, which have the value of ``judged``.
+        """Return the mixture with given shares (K,) as strategies, with the value of ``judge``.
 
-        Their ambusher waits at the worst place; ``bounds`` (legs,) are what each leg loses at
-        least. ``costs`` (K,) are driving times [s] of the paths, if the plan has them.
+        Their ambusher waits at the worst place; ``bounds`` (legs,) are lower bounds of each leg's
+        mean loss. ``costs`` (K,) are the driving times of the paths [s] if the plan has times.
         """
-        value, count = self.judged(shares).value, len(self._networks[0].points)
+        value, count = self.judge(shares).value, len(self._networks[0].points)
         lengths = np.concatenate([each.lengths for each in self._networks])
         seconds: list[FloatArray | None] = [None] * len(self._networks)
         if costs is not None:
             seconds = list(np.split(lengths * (self._uses @ (costs / (lengths @ self._uses))),
                                     self._first[1:-1]))
-        networks = [with_places(replace(each, seconds=own), self._points, self._loss)
-                    for each, own in zip(self._networks, seconds, strict=True)]
+        networks = [with_places(replace(each, seconds=times), self._points, self._loss)
+                    for each, times in zip(self._networks, seconds, strict=True)]
         games, q = make_games(networks, self._games[0].options), np.zeros(len(networks[0].points))
         q[count + int((self._loss * (self._hit @ shares)).argmax())] = 1.0
         legs = Legs(games, tuple(Budget(game, math.inf, leg.shortest_length)
@@ -116,10 +115,10 @@ class PathMixtures:
                                Ambusher(q, (0.0,) * len(games)), bounds)
 
     def best(self, costs: FloatArray, deadline: float = math.inf) -> PathMixture:
-        """The shares of least value, up to ``MAX_GAP``; the mean of a leg's ``costs`` is at most 1.
+        """Find the shares of least value up to ``MAX_GAP``; each leg's mean cost is at most 1.
 
-        At the ``deadline`` (``time.monotonic``) it is the best mixture so far. Raises TimeLimit if
-        there is none, and BudgetInfeasible if no mixture keeps to the costs.
+        ``costs`` (K,) are those of the paths. At the ``deadline`` (``time.monotonic``), returns the
+        incumbent. Raises TimeLimit if there is none, BudgetInfeasible if no mixture is feasible.
         """
         lp = SharesLP(self.losses, costs, self._leg, deadline)
         found: list[PathMixture] = []
@@ -130,7 +129,7 @@ class PathMixtures:
                 if not found:
                     raise
                 break
-            found.append(self.judged(solved.of_all(self._leg)))
+            found.append(self.judge(solved.of_all(self._leg)))
             if found[-1].value <= solved.value * (1.0 + MAX_GAP):
                 break
             lp.losses = self.losses
@@ -138,7 +137,7 @@ class PathMixtures:
 
     @property
     def losses(self) -> csr_matrix:
-        """Costs (S, K) of each path at each of the sites so far, which include the worst."""
+        """Losses (S, K) of each path at the known sites, to which ``judge`` adds the worst."""
         return self._hit.multiply(self._loss[:, None]).tocsr()
 
     def _add_sites(self, points: FloatArray, loss: FloatArray) -> None:
@@ -150,7 +149,7 @@ class PathMixtures:
 
 
 def check_judged(options: GameOptions) -> None:
-    """Raise InvalidOption if paths cannot be judged in a game."""
+    """Raise InvalidOption if a game has no reach, by which paths are judged."""
     if options.ambush_radius == 0.0:
         raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by what '
                             'an ambush reaches')
@@ -158,7 +157,10 @@ def check_judged(options: GameOptions) -> None:
 
 def _networks_of(plan: Plan, paths: Sequence[FloatArray], leg: IndexArray
                  ) -> tuple[list[Network], csr_matrix]:
-    """The networks of each leg's paths, on the same nodes, and the edges (M, K) that each uses."""
+    """Lay out the paths of each leg as a network; returns also each path's edges (M, K).
+
+    All networks have the same nodes.
+    """
     ends = [(each.network.source, each.network.target) for each in plan.legs]
     known, end = np.unique(ends, return_inverse=True)
     end, lines = end.reshape(-1, 2), [plan.network.points[known]]
@@ -166,14 +168,14 @@ def _networks_of(plan: Plan, paths: Sequence[FloatArray], leg: IndexArray
     for path, (source, target) in zip(paths, end[leg].tolist(), strict=True):
         line = np.vstack((lines[0][source], path[:, :2], lines[0][target]))
         line = line[np.append(True, (line[1:] != line[:-1]).any(axis=1))]
-        if len(line) == 2:  # its one edge could be another path's, too
+        if len(line) == 2:  # else another path could have the same edge
             line = np.insert(line, 1, line.mean(axis=0), axis=0)
         lines.append(line[1:-1])
         nodes = [source, *range(first, first + len(line) - 2), target]
         edges.append(np.column_stack((nodes[:-1], nodes[1:])))
         first += len(line) - 2
-    points, of = np.concatenate(lines), np.repeat(np.arange(len(edges)), list(map(len, edges)))
-    alpha, every = np.zeros(len(points)), np.concatenate(edges)
-    networks = [Network(points, alpha, every[leg[of] == k], *own.tolist())
-                for k, own in enumerate(end)]
-    return networks, csr_matrix((np.ones(len(of)), (np.arange(len(of)), of)))
+    points, all_edges = np.concatenate(lines), np.concatenate(edges)
+    alpha, number = np.zeros(len(points)), np.repeat(np.arange(len(edges)), list(map(len, edges)))
+    networks = [Network(points, alpha, all_edges[leg[number] == k], *leg_ends.tolist())
+                for k, leg_ends in enumerate(end)]
+    return networks, csr_matrix((np.ones(len(number)), (np.arange(len(number)), number)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slots of departure: times of which one is drawn, so that an ambush must choose its time, too."""
+"""Slots of departure: the time is drawn as well, so that an ambush must choose its time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..errors import InvalidOption
 
 @dataclass(frozen=True)
 class Slots:
-    """The times of departure (HH:MM) with their shares, and how many slots an ambush lasts.
+    """Times of departure (HH:MM) with their shares; an ambush lasts ``window`` slots.
 
     Raises InvalidOption if they do not fit together.
     """
@@ -36,24 +36,23 @@ class Slots:
 
     @classmethod
     def of(cls, times: Sequence[str], window: int) -> Slots:
-        """The best shares (docs/theory.md, section 14).
+        """Make slots with optimal shares (docs/theory.md, Proposition 14.2).
 
-        An ambush of ``window`` slots covers one of a set of slots that are as far apart: of the
-        sets that cannot have more slots, one is drawn, then one of its slots.
+        An ambush covers at most one of a set of slots that are ``window`` apart. Shares are uniform
+        over all slots in sets of the largest size.
         """
         size = math.ceil(len(times) / window)
-        drawn = np.arange(len(times)) % window < len(times) - (size - 1) * window
-        return cls(tuple(times), tuple((drawn / drawn.sum()).tolist()), window)
+        used = np.arange(len(times)) % window < len(times) - (size - 1) * window
+        return cls(tuple(times), tuple((used / used.sum()).tolist()), window)
 
     @property
     def covered(self) -> float:
-        """The largest share of departures that one ambush covers.
+        """Largest share of departures that one ambush covers.
 
-        A plan's value for an ambusher who knows the time, times this share, is that for one who
-        must choose it, too.
+        The value of a plan times this share is the value if the ambusher does not know the time.
         """
         return max(sum(self.shares[k:k + self.window]) for k in range(len(self.shares)))
 
-    def drawn(self, rng: np.random.Generator) -> str:
+    def draw(self, rng: np.random.Generator) -> str:
         """Draw the time of a departure."""
         return self.times[int(rng.choice(len(self.shares), p=self.shares))]

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ambushers anywhere on the map: how much more they can cause than those at the nodes.
+"""Separation over the cells of a map: the sites between nodes that cost a strategy most.
 
 With a reach, an ambush between two nodes hits other routes than one at either of them, and its cell
-may have a larger loss. The search for the worst cells goes from blocks of cells to cells: the disc
-around a block's centre that contains the discs of all its cells is entered at least as often as any
-of them is hit. A block whose largest loss, times these entries, is not above the limit is left out.
+may have a larger loss. The search is a branch and bound from blocks of cells to cells: the disc
+around a block's centre that contains the discs of all its cells is entered at least as often as
+any of them is hit. A block is dropped if its largest loss times these entries is not above the
+threshold.
 """
 
 from __future__ import annotations
@@ -31,22 +32,22 @@ from .options import parts_of_cells
 
 # Stands for the loss at cells where nobody can wait.
 NOBODY = -1.0
-# A block of cells is divided into this many along each side.
+# Number of parts into which a block is divided along each side.
 _DIVISION = 4
-# Maximum share of the edges that a law uses, such as that of a program's flow, for a search among
+# If a law uses at most this share of the edges, as that of a program's flow, the search looks at
 # these alone: their rows are found fast, but serve no other law.
 _FEW = 0.3
 # Maximum share of changed cells; beyond it losses are computed from the whole map.
 _MAX_CHANGED = 0.05
-# Least number of blocks whose cells are searched at once; of many, a share of those left.
-_AT_ONCE = 200
+# Least number of blocks that are searched at once.
+_MIN_BATCH = 200
 _PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
 
 
 class CellLosses:
-    """The loss at each cell of a map where an ambusher can wait, and the largest of each block.
+    """Losses at the cells of a map, and the largest loss in each block of cells.
 
-    Of a map with graded losses only the grades are kept, the first of which is that of cells where
+    Of a map with graded losses only the grades are kept; the first grade stands for cells where
     nobody can wait.
     """
 
@@ -63,24 +64,24 @@ class CellLosses:
             losses = np.where(risk_map.obstacles, NOBODY, risk_map.alpha)
         self._largest = {1: losses}
 
-    def at(self, points: FloatArray) -> FloatArray:
-        """The losses (K,) at positions (K, 2) [m]; 0 off the map and where nobody can wait."""
+    def losses_at(self, points: FloatArray) -> FloatArray:
+        """Losses (K,) at positions (K, 2) [m]; 0 off the map and where nobody can wait."""
         shape = self._largest[1].shape
         uv, size = to_map_axes(self._origin, points), np.array(shape[::-1]) * self.resolution
-        inside = ((uv >= 0.0) & (uv <= size)).all(axis=1)
+        on_map = ((uv >= 0.0) & (uv <= size)).all(axis=1)
         cells = np.stack(cells_at(uv, self.resolution, shape), axis=1)
-        return np.where(inside, self.in_blocks(cells), 0.0)
+        return np.where(on_map, self.block_losses(cells), 0.0)
 
-    def in_blocks(self, blocks: IndexArray, side: int = 1) -> FloatArray:
-        """The largest losses (K,) in blocks (K, 2) = (row, column) of ``side`` cells a side."""
-        return np.maximum(self._losses(self._of_blocks(side)[tuple(blocks.T)]), 0.0)
+    def block_losses(self, blocks: IndexArray, side: int = 1) -> FloatArray:
+        """Largest losses (K,) in blocks (K, 2) = (row, column) of ``side`` cells a side."""
+        return np.maximum(self._losses(self._largest_in(side)[tuple(blocks.T)]), 0.0)
 
-    def dear_blocks(self, side: int) -> IndexArray:
-        """The blocks (K, 2) in which an ambush may cause a loss."""
-        return np.argwhere(self._of_blocks(side) > 0)
+    def costly_blocks(self, side: int) -> IndexArray:
+        """Blocks (K, 2) of ``side`` cells a side in which an ambush may cause a loss."""
+        return np.argwhere(self._largest_in(side) > 0)
 
     def change(self, cells: IndexArray, alpha: FloatArray) -> None:
-        """Set the losses (K,) of cells (K, 2) = (row, column); below 0 where nobody can wait."""
+        """Set the losses (K,) of cells (K, 2) = (row, column); ``NOBODY`` where nobody can wait."""
         graded = len(self._levels) > 0
         self._largest[1][tuple(cells.T)] = (np.searchsorted(self._levels, alpha) if graded
                                             else alpha)
@@ -97,26 +98,26 @@ class CellLosses:
     def _losses(self, found: npt.NDArray[Any]) -> FloatArray:
         return np.asarray(self._levels[found] if len(self._levels) else found)
 
-    def _of_blocks(self, side: int) -> npt.NDArray[Any]:
-        """The largest loss of each block of ``side`` x ``side`` cells, or its grade."""
+    def _largest_in(self, side: int) -> npt.NDArray[Any]:
+        """Largest loss of each block of ``side`` x ``side`` cells, or its grade."""
         if side not in self._largest:
-            finer = self._of_blocks(side // _DIVISION)
+            finer = self._largest_in(side // _DIVISION)
             self._largest[side] = pooled(np.maximum, finer, _DIVISION)
         return self._largest[side]
 
-    def divided(self, blocks: IndexArray, side: int) -> IndexArray:
-        """The next smaller blocks (K, 2) in blocks of ``side`` cells."""
+    def divide(self, blocks: IndexArray, side: int) -> IndexArray:
+        """Divide blocks (K, 2) of ``side`` cells a side into the next smaller ones."""
         parts = (blocks[:, None] * _DIVISION + _PARTS).reshape(-1, 2)
-        shape = np.array(self._of_blocks(side // _DIVISION).shape)
+        shape = np.array(self._largest_in(side // _DIVISION).shape)
         return np.asarray(parts[(parts < shape).all(axis=1)])
 
 
 class CellSearch:
-    """The search for the places that cost a strategy most; it keeps the geometry that it finds.
+    """Search for violated sites at cells, which caches the edges that enter their discs.
 
-    A site is a cell, or the centre of one of ``parts`` x ``parts`` parts of it, whose discs contain
-    those of all places around it: their radius is the game's reach. ``used`` (M,) marks the edges
-    of all legs that routes may use, by default all playable ones.
+    A site is the centre of a cell, or of one of ``parts`` x ``parts`` parts of it. It stands for
+    all places around it: the radius of its disc is the game's reach, widened. ``used`` (M,) marks
+    the edges of all legs that routes may use, by default all playable ones.
     """
 
     def __init__(self, cells: CellLosses, games: Sequence[Game],
@@ -125,163 +126,165 @@ class CellSearch:
         self._used = (np.concatenate([each.playable for each in games]) if used is None else used)
         self._exposed, self._widened = exposed_legs(games, self._used), games[0].options.widened
         self._parts = parts_of_cells(cells.resolution, self._game.options)
-        self._kept: dict[float, _KeptRows] = {}
+        self._caches: dict[float, _RowCache] = {}
         self._returned = np.zeros(0, dtype=np.int64)  # keys of parts
         self._first = 1
         while self._first * _DIVISION * cells.resolution <= self._game.reach:
             self._first *= _DIVISION
 
-    def on(self, cells: CellLosses) -> CellSearch:
-        """Return the search with the losses of another map, of which nothing was returned yet."""
+    def with_losses(self, cells: CellLosses) -> CellSearch:
+        """Start again with the losses of another map, as if no site had been returned."""
         self._cells, self._returned = cells, self._returned[:0]
         return self
 
-    def worst(self, law: Law, above: float, apart: float = 0.0,
-              among: IndexArray | None = None) -> FoundSites:
-        """Places that cost drawn routes more than ``above``, the worst first.
+    def worst(self, law: Law, threshold: float, spacing: float = 0.0,
+              cells: IndexArray | None = None) -> FoundSites:
+        """Find sites whose mean loss exceeds ``threshold``, the worst first.
 
-        Of each cell only the worst part is returned that was not returned before, and none within
-        ``apart`` [m] of a worse one. Without ``among`` (K, 2) all cells count.
+        From each of the ``cells`` (K, 2), by default all, at most one site is returned: the worst
+        that was not returned before, unless it is within ``spacing`` [m] of a worse one.
         """
         search, used = self, law.uses(len(self._used)) > 0.0
         if used.sum() < _FEW * self._used.sum():
             search = CellSearch(self._cells, self._games, used)
         search._returned = self._returned
-        if among is None:
-            parts, points, loss, losses = search._best_first(law, above, apart)
+        if cells is None:
+            found = search._best_first(law, threshold, spacing)
         else:
-            parts, points, loss, losses = search._of_parts(search._above(among, 1, law, above)[0],
-                                                           law, above, apart)
-        self._returned = np.append(self._returned, _keys(parts))
-        return FoundSites(points, loss, losses, self._rows(parts, 1.0 / self._parts))
+            found = search._worst_parts(search._violated(cells, 1, law, threshold)[0], law,
+                                        threshold, spacing)
+        self._returned = np.append(self._returned, _keys(found.parts))
+        return FoundSites(found.points, found.loss, found.mean_loss,
+                          self._rows(found.parts, 1.0 / self._parts))
 
-    def _best_first(self, law: Law, above: float, apart: float) -> _Costly:
-        """The worst parts of cells, no two within ``apart`` [m].
+    def _best_first(self, law: Law, threshold: float, spacing: float) -> _Sites:
+        """Worst parts of all cells, no two within ``spacing`` [m].
 
-        The smallest blocks are searched in the order of the most that a place in them may cost: a
-        place found is the next one if it costs more than that. Blocks within ``apart`` of such a
-        place are left out.
+        The smallest blocks are searched in the order of their upper bounds: a site is final once it
+        costs more than the next bound. Blocks within ``spacing`` of such a site are dropped.
         """
-        side, blocks = self._first, self._cells.dear_blocks(self._first)
+        side, blocks = self._first, self._cells.costly_blocks(self._first)
         while side > _DIVISION:
-            blocks = self._cells.divided(self._above(blocks, side, law, above)[0], side)
+            blocks = self._cells.divide(self._violated(blocks, side, law, threshold)[0], side)
             side //= _DIVISION
-        blocks, most = self._above(blocks, side, law, above)
-        if side == 1 or self._parts > 1 or apart == 0.0:
+        blocks, bounds = self._violated(blocks, side, law, threshold)
+        if side == 1 or self._parts > 1 or spacing == 0.0:
             if side > 1:
-                blocks, _ = self._above(self._cells.divided(blocks, side), 1, law, above)
-            return self._of_parts(blocks, law, above, apart)
-        order, keys = np.argsort(-most, kind='stable'), _keys(blocks)
+                blocks, _ = self._violated(self._cells.divide(blocks, side), 1, law, threshold)
+            return self._worst_parts(blocks, law, threshold, spacing)
+        order, keys = np.argsort(-bounds, kind='stable'), _keys(blocks)
         place = np.argsort(keys)
-        inner = apart - side * self._cells.resolution / math.sqrt(2.0)
-        found = waiting = self._of_parts(blocks[:0], law, above, apart)
+        inner = spacing - side * self._cells.resolution / math.sqrt(2.0)
+        final = pending = self._worst_parts(blocks[:0], law, threshold, spacing)
         while len(order):
-            some, order = np.split(order, [max(_AT_ONCE, len(order) // 32)])
-            some = some[_away(self._cells.centres(blocks[some], side), found.points, inner)]
-            cells, _ = self._above(self._cells.divided(blocks[some], side), 1, law, above)
-            waiting = waiting.joined(self._of_parts(cells, law, above, 0.0))
-            waiting = waiting.some(_away(waiting.points, found.points, apart))
-            least = (1.0 + ROUNDING) * most[order[0]] if len(order) else above
-            enough = waiting.losses > least
-            best = waiting.some(enough)
-            block = place[np.searchsorted(keys, _keys(best.parts // side), sorter=place)]
-            worst_first = np.lexsort((*(best.parts % side).T[::-1], block, -best.losses))
-            found = found.joined(best.some(thinned(best.points, worst_first, apart)))
-            waiting = waiting.some(~enough)
-        return found
+            batch, order = np.split(order, [max(_MIN_BATCH, len(order) // 32)])
+            batch = batch[_no_place_within(inner, self._cells.centres(blocks[batch], side),
+                                           final.points)]
+            cells, _ = self._violated(self._cells.divide(blocks[batch], side), 1, law, threshold)
+            pending = pending.append(self._worst_parts(cells, law, threshold, 0.0))
+            pending = pending.subset(_no_place_within(spacing, pending.points, final.points))
+            next_bound = (1.0 + ROUNDING) * bounds[order[0]] if len(order) else threshold
+            certain = pending.mean_loss > next_bound
+            worst = pending.subset(certain)
+            block = place[np.searchsorted(keys, _keys(worst.parts // side), sorter=place)]
+            worst_first = np.lexsort((*(worst.parts % side).T[::-1], block, -worst.mean_loss))
+            final = final.append(worst.subset(thin_out(worst.points, worst_first, spacing)))
+            pending = pending.subset(~certain)
+        return final
 
-    def _above(self, blocks: IndexArray, side: int, law: Law,
-               above: float) -> tuple[IndexArray, FloatArray]:
-        """Blocks (K, 2) in which a place may cost more, and the most that one may cost (K,)."""
-        loss = self._cells.in_blocks(blocks, side)
-        some = loss * len(self._games) > above
-        blocks, loss = blocks[some], loss[some]
+    def _violated(self, blocks: IndexArray, side: int, law: Law,
+                  threshold: float) -> tuple[IndexArray, FloatArray]:
+        """Blocks (K, 2) whose mean loss may exceed the threshold, and its upper bounds (K,)."""
+        loss = self._cells.block_losses(blocks, side)
+        large = loss * len(self._games) > threshold
+        blocks, loss = blocks[large], loss[large]
         rows = self._rows(blocks, side)
-        most = loss * law.meets_at_most(rows)
-        some = most > above
-        blocks, loss, most = blocks[some], loss[some], most[some]
+        bounds = loss * law.meets_at_most(rows)
+        large = bounds > threshold
+        blocks, loss, bounds = blocks[large], loss[large], bounds[large]
         if side > _DIVISION or side == self._parts == 1:
-            return blocks, most
-        most = loss * law.meets(csr_matrix(rows[some]))
-        return np.asarray(blocks[most > above]), most[most > above]
+            return blocks, bounds
+        bounds = loss * law.meets(csr_matrix(rows[large]))
+        return np.asarray(blocks[bounds > threshold]), bounds[bounds > threshold]
 
-    def _of_parts(self, cells: IndexArray, law: Law, above: float, apart: float) -> _Costly:
-        """The worst part of each cell (K, 2) in which one costs more than ``above``."""
-        loss, n = self._cells.in_blocks(cells), self._parts
-        parts, which = cells, np.arange(len(cells))
+    def _worst_parts(self, cells: IndexArray, law: Law, threshold: float,
+                     spacing: float) -> _Sites:
+        """Worst part of each cell (K, 2), if its mean loss exceeds the threshold."""
+        loss, n = self._cells.block_losses(cells), self._parts
+        parts, cell = cells, np.arange(len(cells))
         if n > 1:
             parts = (cells[:, None] * n + np.indices((n, n)).reshape(2, -1).T).reshape(-1, 2)
-            which = np.repeat(which, n * n)
+            cell = np.repeat(cell, n * n)
         points = self._cells.centres(parts, 1.0 / n)
-        out = ~self._game.secured.shrunk(self._widened).covers(points)
-        parts, which, points = parts[out], which[out], points[out]
+        exposed = ~self._game.secured.shrink(self._widened).covers(points)
+        parts, cell, points = parts[exposed], cell[exposed], points[exposed]
         rows = self._rows(parts, 1.0 / n)
-        most = loss[which] * law.meets_at_most(rows)
-        some = np.flatnonzero((most > above) & ~np.isin(_keys(parts), self._returned))
-        which, parts, points = which[some], parts[some], points[some]
-        losses = loss[which] * law.meets(csr_matrix(rows[some]))
-        order = np.argsort(-losses, kind='stable')
-        order = order[losses[order] > above]
-        _, first = np.unique(which[order], return_index=True)
-        found = thinned(points, order[np.sort(first)], apart)
-        return _Costly(parts[found], points[found], loss[which[found]], losses[found])
+        bounds = loss[cell] * law.meets_at_most(rows)
+        large = np.flatnonzero((bounds > threshold) & ~np.isin(_keys(parts), self._returned))
+        cell, parts, points = cell[large], parts[large], points[large]
+        mean_loss = loss[cell] * law.meets(csr_matrix(rows[large]))
+        order = np.argsort(-mean_loss, kind='stable')
+        order = order[mean_loss[order] > threshold]
+        _, first = np.unique(cell[order], return_index=True)
+        found = thin_out(points, order[np.sort(first)], spacing)
+        return _Sites(parts[found], points[found], loss[cell[found]], mean_loss[found])
 
     def _rows(self, blocks: IndexArray, side: float) -> csr_matrix:
-        """The edges (K, M) that enter the discs of blocks (K, 2)."""
-        if side not in self._kept:
-            around = side * self._cells.resolution / np.sqrt(2.0)
-            reach = self._game.reach - self._widened + around
-            self._kept[side] = _KeptRows(self._exposed, reach)
-        kept = self._kept[side]
-        return kept.find(blocks, lambda some: self._cells.centres(some, side))
+        """Rows (K, M) of the edges that enter the discs of blocks (K, 2)."""
+        if side not in self._caches:
+            to_corner = side * self._cells.resolution / np.sqrt(2.0)
+            reach = self._game.reach - self._widened + to_corner
+            self._caches[side] = _RowCache(self._exposed, reach)
+        return self._caches[side].find(blocks, lambda new: self._cells.centres(new, side))
 
 
-class _Costly(NamedTuple):
-    """Parts of cells (K, 2), their positions (K, 2), losses and mean losses (K,)."""
+class _Sites(NamedTuple):
+    """Parts of cells (K, 2), their positions (K, 2) [m], losses (K,) and mean losses (K,)."""
 
     parts: IndexArray
     points: FloatArray
     loss: FloatArray
-    losses: FloatArray
+    mean_loss: FloatArray
 
-    def joined(self, others: _Costly) -> _Costly:
-        """These and others."""
-        return _Costly(np.concatenate((self.parts, others.parts)),
-                       np.concatenate((self.points, others.points)),
-                       np.append(self.loss, others.loss), np.append(self.losses, others.losses))
+    def append(self, others: _Sites) -> _Sites:
+        """Return these sites, then others."""
+        return _Sites(np.concatenate((self.parts, others.parts)),
+                      np.concatenate((self.points, others.points)),
+                      np.append(self.loss, others.loss),
+                      np.append(self.mean_loss, others.mean_loss))
 
-    def some(self, which: BoolArray | IndexArray) -> _Costly:
-        """Those that ``which`` marks or numbers."""
-        return _Costly(self.parts[which], self.points[which], self.loss[which],
-                       self.losses[which])
+    def subset(self, index: BoolArray | IndexArray) -> _Sites:
+        """Return the sites that ``index`` marks or numbers."""
+        return _Sites(self.parts[index], self.points[index], self.loss[index],
+                      self.mean_loss[index])
 
 
-def _away(points: FloatArray, places: FloatArray, distance: float) -> BoolArray:
-    """Return which points (K, 2) have no place within a distance [m]."""
+def _no_place_within(distance: float, points: FloatArray, places: FloatArray) -> BoolArray:
+    """Return whether points (K, 2) have no place within a distance [m]."""
     if not len(places) or not len(points):
         return np.ones(len(points), dtype=bool)
     return np.asarray(cKDTree(places).query(points)[0] > distance)
 
 
-def thinned(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
-    """Those of the points ``order`` that are not within ``apart`` [m] of one before."""
-    if apart == 0.0 or not len(order):
+def thin_out(points: FloatArray, order: IndexArray, spacing: float) -> IndexArray:
+    """Drop from ``order`` the points (K, 2) that are within ``spacing`` [m] of one kept before."""
+    if spacing == 0.0 or not len(order):
         return order
     kept, covered, tree = [], np.zeros(len(order), dtype=bool), cKDTree(points[order])
     for k, point in enumerate(points[order]):
         if not covered[k]:
             kept.append(order[k])
-            covered[tree.query_ball_point(point, apart)] = True
+            covered[tree.query_ball_point(point, spacing)] = True
     return np.array(kept)
 
 
 def _keys(blocks: IndexArray) -> IndexArray:
-    """A number for each of the blocks (K, 2) of one side."""
+    """Return a number for each of the blocks (K, 2) of one side."""
     return np.asarray((blocks[:, 0] << 32) + blocks[:, 1])
 
 
-class _KeptRows:
-    """Rows of edges that enter the discs around blocks of one side, found once."""
+class _RowCache:
+    """Cache of the rows of edges that enter the discs of blocks of one side."""
 
     def __init__(self, exposed: ExposedEdges | ExposedLegs, reach: float) -> None:
         self._exposed, self._reach = exposed, reach
@@ -290,54 +293,50 @@ class _KeptRows:
 
     def find(self, blocks: IndexArray,
              centres: Callable[[IndexArray], FloatArray]) -> csr_matrix:
-        """The rows of the blocks (K, 2)."""
+        """Return the rows (K, M) of blocks (K, 2); ``centres`` gives the positions of new ones."""
         keys = _keys(blocks)
-        at = np.searchsorted(self._keys, keys)
-        known = at < len(self._keys)
-        known[known] = self._keys[at[known]] == keys[known]
+        place = np.searchsorted(self._keys, keys)
+        known = place < len(self._keys)
+        known[known] = self._keys[place[known]] == keys[known]
         if not known.all() or self._rows is None:
-            more = self._exposed.entering(centres(blocks[~known]), self._reach)
-            rows = more if self._rows is None else csr_matrix(vstack((self._rows, more)))
-            first = rows.shape[0] - more.shape[0]
-            row = np.append(self._row, first + np.arange(more.shape[0]))
+            new = self._exposed.entering(centres(blocks[~known]), self._reach)
+            rows = new if self._rows is None else csr_matrix(vstack((self._rows, new)))
+            first = rows.shape[0] - new.shape[0]
+            row = np.append(self._row, first + np.arange(new.shape[0]))
             all_keys = np.append(self._keys, keys[~known])
             order = np.argsort(all_keys, kind='stable')
             self._rows, self._keys, self._row = rows, all_keys[order], row[order]
-            at = np.searchsorted(self._keys, keys)
-        return csr_matrix(self._rows[self._row[at]])
+            place = np.searchsorted(self._keys, keys)
+        return csr_matrix(self._rows[self._row[place]])
 
 
 class LatestLosses:
-    """The losses at the cells of the latest map: those of the one before with the changes since."""
+    """The losses at the cells of the latest map, updated from map to map."""
 
     def __init__(self) -> None:
         self._latest: tuple[OccupancyMap, tuple[OccupancyOptions, bool], CellLosses] | None = None
 
-    def on(self, grid: OccupancyMap, options: OccupancyOptions, in_obstacles: bool) -> CellLosses:
-        """Return the losses on a map, which hold until the next call."""
-        read = options, in_obstacles
+    def update(self, grid: OccupancyMap, options: OccupancyOptions,
+               in_obstacles: bool) -> CellLosses:
+        """Return the losses on a map; the next call changes them."""
+        reading = options, in_obstacles
         # With ambushers in obstacles, a change of one cell can change the losses of many.
-        most = 0.0 if in_obstacles else _MAX_CHANGED * grid.values.size
+        max_changed = 0.0 if in_obstacles else _MAX_CHANGED * grid.values.size
         if self._latest is not None:
-            last, read_by, losses = self._latest
-            at = _changed(last, grid) if read == read_by else None
-            if at is not None and len(at) <= most:
-                if len(at):
-                    rows, columns = np.divmod(at, grid.values.shape[1])
-                    some = replace(grid, values=grid.values[rows, columns][None, :])
-                    risk = some.risk_map(options)
+            previous, previous_reading, losses = self._latest
+            same_ground = (previous.values.shape, previous.resolution, previous.origin) == (
+                grid.values.shape, grid.resolution, grid.origin)
+            changed = np.flatnonzero(previous.values.ravel() != grid.values.ravel()) if (
+                reading == previous_reading and same_ground) else None
+            if changed is not None and len(changed) <= max_changed:
+                if len(changed):
+                    rows, columns = np.divmod(changed, grid.values.shape[1])
+                    cells = replace(grid, values=grid.values[rows, columns][None, :])
+                    risk = cells.risk_map(options)
                     losses.change(np.stack((rows, columns), axis=1),
                                   np.where(risk.obstacles, NOBODY, risk.alpha)[0])
-                self._latest = grid, read, losses
+                self._latest = grid, reading, losses
                 return losses
         losses = CellLosses(grid.risk_map(options), in_obstacles)
-        self._latest = grid, read, losses
+        self._latest = grid, reading, losses
         return losses
-
-
-def _changed(one: OccupancyMap, other: OccupancyMap) -> IndexArray | None:
-    """Return the flat indices of the cells that differ; None if the maps cover other ground."""
-    if (one.values.shape, one.resolution, one.origin) != (
-            other.values.shape, other.resolution, other.origin):
-        return None
-    return np.flatnonzero(one.values.ravel() != other.values.ravel())

@@ -21,7 +21,7 @@ from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy, with_certificate
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, obstacles_in
 from ..maps.risk_map import RiskMap, to_map_axes
-from ..routes.corridor_update import with_moved_end, with_new_obstacles
+from ..routes.corridor_update import add_obstacles, move_end
 from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
 from .cell_losses import CellSearch, LatestLosses
@@ -42,13 +42,13 @@ MIN_CLEAR = 0.1
 
 @dataclass(frozen=True)
 class Assessment:
-    """The value of a strategy on another map, and a lower bound on that of any strategy there.
+    """Value and lower bound of a plan's strategies on another map.
 
-    The bound holds for the strategy's own network: ground that has become free counts after the
-    next solve. ``clear_share`` is the probability that a route meets no new obstacle and no place
-    that must not be entered; if it is below 1, the value is that of drawing until a route is clear.
-    ``expected_length`` [``travel_unit``] is the mean over the clear routes (inf if none is),
-    ``length_budget`` what ``max_detour`` allows.
+    The bound is about the strategies' own networks: ground that has become free counts from the
+    next solve on. ``clear_share`` is the probability that a route meets no new obstacle and no
+    forbidden node; if it is below 1, routes are drawn until one is clear, and the value is that of
+    this. ``expected_length`` [``travel_unit``] is the mean over the clear routes (inf if there are
+    none), ``length_budget`` its limit by ``max_detour``.
     """
 
     value: float
@@ -60,12 +60,15 @@ class Assessment:
 
     @property
     def gap(self) -> float:
-        """Upper bound on how much lower another strategy's value could be."""
+        """Value minus lower bound."""
         return self.value - self.lower_bound
 
     @property
     def is_blocked(self) -> bool:
-        """Return whether too many routes are blocked; most strategies use all ground a little."""
+        """Return whether so large a share of the routes is blocked that the game is solved again.
+
+        Most strategies use all ground a little, so a few blocked routes are common.
+        """
         return self.clear_share < 1.0 - _MAX_BLOCKED
 
     @property
@@ -75,7 +78,7 @@ class Assessment:
 
     @property
     def concern(self) -> str:
-        """A warning about the length of the clear routes, in words; '' if there is none."""
+        """Warning about the length of the clear routes; '' if there is none."""
         if not self.is_over_budget:
             return ''
         return (f'the routes that are clear on the current map have a mean length of '
@@ -84,24 +87,24 @@ class Assessment:
                 f'{self.length_budget:.4g} {self.travel_unit} (strategy.max_detour)')
 
     def is_stale(self, original_value: float, tolerance: float) -> bool:
-        """Return whether to solve again; ``original_value`` is that on the strategy's own map."""
+        """Return whether to solve again; ``original_value`` is that on the plan's own map."""
         return self.is_blocked or self.value > original_value * (1.0 + tolerance) + 1e-12
 
     def allows_departure(self, max_gap: float, original_gap: float) -> bool:
-        """Return whether a convoy may depart on the strategy before the next solve.
+        """Return whether a convoy may depart before the next solve.
 
-        ``max_gap`` bounds, as a share of the value, how much the gap may exceed ``original_gap``,
-        the gap on the strategy's own map; both include the risk slack.
+        The gap may exceed ``original_gap``, that on the plan's own map, by at most ``max_gap``
+        times the value.
         """
         growth = self.gap - original_gap
         return self.clear_share >= MIN_CLEAR and growth <= max_gap * self.value + 1e-12
 
 
 class ChangedGround:
-    """Assesses a plan, and draws its routes, on other maps of the same ground.
+    """A plan on other maps of the same ground: its assessment, and draws of clear routes.
 
-    The plan was solved on the map ``planned_on``; ``occupancy`` says how cell values are read.
-    Several plans may share the ``losses`` of the newest map.
+    The plan was solved on the map ``planned_on``; ``occupancy`` converts the maps' values. Several
+    plans may share the ``losses`` of the newest map.
     """
 
     def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions,
@@ -112,44 +115,44 @@ class ChangedGround:
         self._latest: ChangedNetwork | None = None
         self._assessment: Assessment | None = None
         self._corridors: tuple[Corridors, ...] | None = None
-        self._search: CellSearch | None = None  # keeps which routes pass where, on any map
+        self._search: CellSearch | None = None  # its cached geometry serves all maps
 
     def compare(self, newest: OccupancyMap) -> ChangedNetwork:
         """Compare the plan's network on the newest map, which is of the same ground."""
         if self._latest is None or self._latest.newest is not newest:
-            self._latest = self._planned.on(newest)
+            self._latest = self._planned.compare(newest)
             self._assessment = self._corridors = None
         return self._latest
 
     def forget_all_but(self, newest: OccupancyMap) -> None:
-        """Free what is known of another map than this one; all if the last map did not matter."""
+        """Free the memory of results on other maps; of all if none was compared since."""
         if self._latest is None:
             self._search = None
         elif self._latest.newest is not newest:
             self._latest = self._assessment = self._corridors = None
 
     def assess(self, newest: OccupancyMap) -> Assessment:
-        """Return the value of the strategy on the newest map, which is of the same ground."""
-        look = self.compare(newest)
+        """Assess drawing routes until one is clear on the newest map, of the same ground."""
+        changed = self.compare(newest)
         if self._assessment is None:
-            self._assessment = self._assess(look)
+            self._assessment = self._assess(changed)
         return self._assessment
 
     def drawn_from(self, newest: OccupancyMap) -> TripStrategy:
         """Return the strategies that departures on the newest map are drawn from.
 
-        They are the plan's, given that their routes are clear, with the losses and the value of
+        They are the plan's on condition that routes are clear, with the losses and the value on
         that map. Raises ValueError if no route is clear.
         """
-        look, known, trip = self.compare(newest), self.assess(newest), self.plan.trip
+        changed, known, trip = self.compare(newest), self.assess(newest), self.plan.trip
         certificate = Certificate(known.value, known.lower_bound)
-        if self._is_unchanged(look):
+        if self._is_unchanged(changed):
             same = certificate.value == trip.value
             return trip if same else with_certificate(trip, certificate)
-        share, laws = self.clear_laws(look)
+        share, laws = self.clear_laws(changed)
         if not share > 0.0:
             raise ValueError('no route of the strategy is clear')
-        legs = legs_in_game(trip, trip.game.options, look.alpha)
+        legs = legs_in_game(trip, trip.game.options, changed.alpha)
         drawn = tuple(replace(
             leg, game=game, budget=budget,
             edge_probability=frozen_array(law.uses(len(leg.edge_probability)), np.float64),
@@ -161,7 +164,7 @@ class ChangedGround:
     def connects(self, newest: OccupancyMap, ends: Ends) -> bool:
         """Return whether all first and last edges in use can be driven from start and to goal.
 
-        All of them: whether the plan suits must not depend on the route that is drawn.
+        It has to be all of them, so that a request does not depend on the route that is drawn.
         """
         (start, goal), plan = ends, self.plan
         if any(one == other for one, other in pairwise((start, *plan.stops_xy, goal))):
@@ -169,43 +172,41 @@ class ChangedGround:
         lost = self.by_leg(self.compare(newest).lost)
         # Start and goal separately: the rectangle around both may be the whole map.
         for k, node, place in ((0, 'source', start), (-1, 'target', goal)):
-            network, at = plan.legs[k].network, (1, 0)[k]
+            network, end = plan.legs[k].network, (1, 0)[k]
             used = (plan.legs[k].edge_probability > 0.0) & ~lost[k]
-            used &= network.edges[:, 1 - at] == getattr(network, node)
-            others = network.points[network.edges[used, at]]
-            here = np.broadcast_to(place, others.shape)
-            a, b = (here, others) if node == 'source' else (others, here)
+            used &= network.edges[:, 1 - end] == getattr(network, node)
+            others = network.points[network.edges[used, end]]
+            moved = np.broadcast_to(place, others.shape)
+            a, b = (moved, others) if node == 'source' else (others, moved)
             # A step of length 0 has no direction.
             if (a == b).all(axis=1).any() or not self.clear(a, b, newest).all():
                 return False
         return True
 
     def draw(self, rng: np.random.Generator, newest: OccupancyMap, first: int = 0) -> Route | None:
-        """Draw routes of the legs from ``first`` on until each is clear on the newest map.
+        """Draw a route of each leg from ``first`` on until it is clear on the newest map.
 
-        A route then has its conditional probability, given that it is clear. None after too many
-        draws.
+        So a route has its conditional probability, given that it is clear. Returns None after too
+        many draws.
         """
         lost, drawn = self.by_leg(self.compare(newest).lost), []
-        for leg, own in zip(self.plan.legs[first:], lost[first:], strict=True):
+        for leg, leg_lost in zip(self.plan.legs[first:], lost[first:], strict=True):
             for _ in range(_MAX_DRAWS):
                 nodes = leg.sample_route(rng)
-                if not own.any() or not own[route_edges(leg.network, nodes)].any():
+                if not leg_lost.any() or not leg_lost[route_edges(leg.network, nodes)].any():
                     drawn.append(nodes)
                     break
             else:
                 return None
         return tuple(drawn)
 
-    def fitted(self, newest: OccupancyMap, ends: Ends, joins: IndexArray | None = None,
-               first: int = 0) -> Plan:
-        """Return the plan from leg ``first`` on, with corridors that are clear on the newest map.
+    def fit_plan(self, newest: OccupancyMap, ends: Ends, joins: IndexArray | None = None,
+                 first: int = 0) -> Plan:
+        """Return the plan from leg ``first`` on, with corridors fitted to the newest map and ends.
 
-        They are between ``ends``.
-
-        The path of a clear route is then clear, and so are the connections to the ends if their
-        straight lines are (``clear``). The start is connected with the same nodes as before, or
-        with the nodes ``joins`` (K,).
+        The path of a clear route between ``ends`` is then clear, if the straight lines from the
+        ends to the network are (``clear``). The start is connected with the same nodes as before,
+        or with the nodes ``joins`` (K,).
         """
         plan, options = self.plan.legs_from(first), self.plan.options.network
         corridors = list(self._clear_corridors(newest)[first:])
@@ -213,116 +214,110 @@ class ChangedGround:
                 (0, plan.network.source, ends[0], joins),
                 (len(corridors) - 1, plan.legs[-1].network.target, ends[1], None)):
             if tuple(plan.network.points[node].tolist()) != place:
-                corner, part = self._around(newest, corridors[k], node, place, others)
-                corridors[k] = with_moved_end(corridors[k], node, place, part, corner,
+                corner, part = self._map_part(newest, corridors[k], node, place, others)
+                corridors[k] = move_end(corridors[k], node, place, part, corner,
                                               options.clearance, options.clear_of_edge, others)
         return replace(plan, corridors=tuple(corridors))
 
     @cached_property
     def conditioned(self) -> tuple[ConditionedStrategy, ...]:
-        """The strategy of each leg on condition that routes avoid some edges."""
+        """The strategy of each leg, to be conditioned on avoiding lost edges."""
         return tuple(ConditionedStrategy(leg) for leg in self.plan.legs)
 
     def clear(self, a: FloatArray, b: FloatArray, newest: OccupancyMap) -> BoolArray:
-        """Return whether segments a -> b, both (K, 2), clear the newest map's obstacles: (K,).
+        """Return whether segments a -> b, both (K, 2) [m], are clear on the newest map: (K,).
 
-        Those of one call should lie together: the map is read around all of them.
+        Those of one call should lie close together: the map is read around all of them.
         """
         return self._clear_ground(newest).segments(a, b)
 
-    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, law: Law,
-                    on_others: bool = False, moved: Legs | None = None) -> Certificate:
-        """The certificate of a law, against ambushers at any cell if the plan's is.
+    def value_at_cells(self, at_sites: Certificate, newest: OccupancyMap, law: Law,
+                       unchanged: bool = False, moved: Legs | None = None) -> Certificate:
+        """Return a certificate whose value also covers ambushes at any cell, if the plan's does.
 
-        Only at cells that have changed if ``at_sites`` holds ``on_others``. The law is of the
-        plan's legs, or of those that have ``moved``.
-        """
-        changed = self._changed(newest)
-        if (math.isinf(at_sites.value) or not holds_anywhere(self.plan.options)
-                or (on_others and not len(changed))):
-            return at_sites
-        cells = self._cell_losses.on(newest if len(changed) else self._planned_on,
-                                     self._occupancy, self._planned.hiding)
-        if moved is None:
-            self._search = self._search or CellSearch(cells, self.plan.trip.joint.games, self._used)
-            search = self._search.on(cells)
-        else:
-            search = CellSearch(cells, moved.games, law.uses(moved.edge_count) > 0.0)
-        among = None
-        if on_others and not self._planned.hiding:
-            among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
-        worst = search.worst(law, at_sites.value, among=among)
-        return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
-
-    def _changed(self, newest: OccupancyMap) -> IndexArray:
-        """The cells whose losses have changed.
-
-        Cells that have become obstacles hide nobody. If only such cells have changed, all ambushers
-        of the planned map count, so that its losses need not be computed again.
+        ``at_sites`` is the certificate of a law at the network's sites. If the law and the losses
+        of the nodes are ``unchanged``, its value covers all cells that have not changed. The law is
+        of the plan's legs, or of those that have ``moved``.
         """
         changed = self.compare(newest).changed
-        if self._planned.hiding:
-            return changed
-        return changed[~obstacles_in(newest.values.ravel()[changed], self._occupancy)]
+        if not self._planned.hiding:
+            # Cells that have become obstacles hide nobody. If only such cells have changed, the
+            # losses of the planned map are used as they are.
+            changed = changed[~obstacles_in(newest.values.ravel()[changed], self._occupancy)]
+        if (math.isinf(at_sites.value) or not holds_anywhere(self.plan.options)
+                or (unchanged and not len(changed))):
+            return at_sites
+        losses = self._cell_losses.update(newest if len(changed) else self._planned_on,
+                                          self._occupancy, self._planned.hiding)
+        if moved is None:
+            games = self.plan.trip.joint.games
+            self._search = self._search or CellSearch(losses, games, self._used)
+            search = self._search.with_losses(losses)
+        else:
+            search = CellSearch(losses, moved.games, law.uses(moved.edge_count) > 0.0)
+        cells = None
+        if unchanged and not self._planned.hiding:
+            cells = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
+        worst = search.worst(law, at_sites.value, cells=cells)
+        return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 
-    def _assess(self, look: ChangedNetwork) -> Assessment:
-        """Return the assessment of drawing routes until one avoids the lost edges."""
+    def _assess(self, changed: ChangedNetwork) -> Assessment:
+        """Assess drawing routes until one avoids the lost edges."""
         plan, trip = self.plan, self.plan.trip
-        if look.lost.all():
+        if changed.lost.all():
             return Assessment(math.inf, 0.0, 0.0)
-        known, unchanged = trip.certificate, self._is_unchanged(look)
-        clear_share, laws = self.clear_laws(look)
+        known, unchanged = trip.certificate, self._is_unchanged(changed)
+        clear_share, laws = self.clear_laws(changed)
         if not clear_share > 0.0:
             return Assessment(math.inf, 0.0, 0.0)
         law = joint_law(trip.joint, laws)
         if not unchanged:
-            known = revalue(trip, look.alpha, law)
-        known = self.at_any_cell(known, look.newest, law, unchanged)
-        length = sum(float(own.uses(len(leg.edge_probability)) @ leg.network.travel_costs)
-                     for leg, own in zip(plan.legs, laws, strict=True))
+            known = revalue(trip, changed.alpha, law)
+        known = self.value_at_cells(known, changed.newest, law, unchanged)
+        length = sum(float(leg_law.uses(len(leg.edge_probability)) @ leg.network.travel_costs)
+                     for leg, leg_law in zip(plan.legs, laws, strict=True))
         return Assessment(known.value, known.bound, clear_share, length,
                           plan.options.strategy.max_detour * trip.shortest_length,
                           plan.network.travel_unit)
 
     @cached_property
     def _used(self) -> BoolArray:
-        """The edges (M,) that routes of the plan use."""
+        """Marks the edges (M,) that routes of the plan use."""
         return np.concatenate([leg.edge_probability for leg in self.plan.legs]) > 0.0
 
     def by_leg(self, lost: BoolArray) -> list[BoolArray]:
-        """The lost edges (M,), leg by leg."""
+        """Split the lost edges (M,) by leg."""
         return np.split(lost, self.plan.trip.joint.first[1:-1])
 
-    def _is_unchanged(self, look: ChangedNetwork) -> bool:
+    def _is_unchanged(self, changed: ChangedNetwork) -> bool:
         """Return whether no edge in use is lost, and no node's loss has changed."""
-        return (not look.lost[self._used].any()
-                and np.array_equal(look.alpha, self.plan.network.alpha))
+        return (not changed.lost[self._used].any()
+                and np.array_equal(changed.alpha, self.plan.network.alpha))
 
-    def clear_laws(self, look: ChangedNetwork) -> tuple[float, list[Law]]:
-        """The probability that a route avoids the lost edges, and the law of each leg then."""
-        return clear_laws(self.conditioned, self.by_leg(look.lost))
+    def clear_laws(self, changed: ChangedNetwork) -> tuple[float, list[Law]]:
+        """Return the probability that a route is clear, and the law of each leg then."""
+        return clear_laws(self.conditioned, self.by_leg(changed.lost))
 
     def _clear_corridors(self, newest: OccupancyMap) -> tuple[Corridors, ...]:
-        """Return the plan's corridors among the new obstacles."""
-        look, plan = self.compare(newest), self.plan
+        """Corridors of the plan, narrowed by the new obstacles."""
+        changed, plan = self.compare(newest), self.plan
         if self._corridors is None:
-            self._corridors = plan.corridors if not len(look.new_obstacles) else tuple(
-                with_new_obstacles(each, look.new_obstacles, plan.options.network.clearance,
+            self._corridors = plan.corridors if not len(changed.new_obstacles) else tuple(
+                add_obstacles(each, changed.new_obstacles, plan.options.network.clearance,
                                    newest.resolution) for each in plan.corridors)
         return self._corridors
 
-    def _around(self, newest: OccupancyMap, corridors: Corridors, node: int,
-                place: tuple[float, float],
-                neighbours: IndexArray | None) -> tuple[FloatArray, RiskMap]:
-        """Return the map around the links of a moved node, as far as paths may go."""
-        at = neighbours
-        if at is None:
-            at = corridors.links[(corridors.links == node).any(axis=1)].ravel()
-        uv = np.vstack((self._planned.uv[at], to_map_axes(newest.origin, [place])))
-        wide = float(np.hypot(*(uv - uv[-1]).T).max())
+    def _map_part(self, newest: OccupancyMap, corridors: Corridors, node: int,
+                  place: tuple[float, float],
+                  neighbours: IndexArray | None) -> tuple[FloatArray, RiskMap]:
+        """Cut out the map around the links of a moved node, as far as paths may go."""
+        if neighbours is None:
+            neighbours = corridors.links[(corridors.links == node).any(axis=1)].ravel()
+        uv = np.vstack((self._planned.uv[neighbours], to_map_axes(newest.origin, [place])))
+        reach = float(np.hypot(*(uv - uv[-1]).T).max())
         if self.plan.tube is not None:
-            wide = self.plan.tube + 0.5 * wide
-        return self._clear_ground(newest).part(uv, wide + self.plan.options.network.clearance)
+            reach = self.plan.tube + 0.5 * reach
+        return self._clear_ground(newest).part(uv, reach + self.plan.options.network.clearance)
 
     def _clear_ground(self, newest: OccupancyMap) -> ClearGround:
         return ClearGround(newest, self._occupancy, self.plan.options.network)

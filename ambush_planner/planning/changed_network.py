@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plan's networks on another map of the same ground: lost edges, and the losses of the nodes."""
+"""A plan's networks on another map of the same ground: lost edges, and losses of the nodes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,18 @@ _MAX_CELLS = 100_000
 
 @dataclass(frozen=True, eq=False)
 class ChangedNetwork:
-    """A plan's networks on the ``newest`` map, compared with the one that it was planned on.
+    """A plan's networks on the ``newest`` map, compared with the map that it was planned on.
 
-    ``changed`` (K,) are the flat indices of cells with another value, ``new_obstacles`` (L, 2) the
-    centres of those that have become obstacles [m], in map axes. The ``lost`` edges meet one of
-    these or lead to a node over the threshold: a mask (M,) of the edges of all legs. ``alpha`` (N,)
-    are the nodes' losses now.
+    Attributes
+    ----------
+    changed : (K,)
+        Flat indices of the cells with another value.
+    new_obstacles : (L, 2)
+        Centres of the cells that have become obstacles, in map axes [m].
+    lost : (M,)
+        Marks the edges of all legs that meet a new obstacle or lead to a forbidden node.
+    alpha : (N,)
+        Losses of the nodes on the newest map.
     """
 
     newest: OccupancyMap
@@ -38,7 +44,7 @@ class ChangedNetwork:
 
 
 class PlannedNetwork:
-    """A plan's networks, with the map that it was ``planned_on``."""
+    """A plan's networks, with the map ``planned_on`` to compare others with."""
 
     def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions,
                  losses: LatestLosses) -> None:
@@ -56,38 +62,35 @@ class PlannedNetwork:
         self._tails, self._heads = (self.uv[self._edges[:, k]] for k in (0, 1))
         self._middles = cKDTree((self._tails + self._heads) / 2)
 
-    def on(self, newest: OccupancyMap) -> ChangedNetwork:
-        """Compare the network on the newest map, which is of the same ground."""
-        before, now = self._planned_on.values.ravel(), newest.values.ravel()
+    def compare(self, newest: OccupancyMap) -> ChangedNetwork:
+        """Compare the newest map, which is of the same ground, with that of the plan."""
+        old_values, values = self._planned_on.values.ravel(), newest.values.ravel()
         # Flat indices: with rows and columns numpy takes five times as long.
-        changed = np.flatnonzero(before != now)
-        was, is_now = (obstacles_in(each[changed], self._occupancy) for each in (before, now))
-        cells = np.divmod(changed[is_now & ~was], newest.values.shape[1])
+        changed = np.flatnonzero(old_values != values)
+        old, new = (obstacles_in(each[changed], self._occupancy) for each in (old_values, values))
+        cells = np.divmod(changed[new & ~old], newest.values.shape[1])
         new_obstacles = np.multiply(np.stack(cells[::-1], axis=1) + 0.5, newest.resolution)
-        alpha = self._losses_on(newest)
+        alpha = self._node_losses(newest)
         lost = (alpha > self._threshold)[self._edges[:, 1]]
         if len(new_obstacles) > _MAX_CELLS:
             lost[:] = True
         else:
-            lost[self._near(new_obstacles, newest.resolution)] = True
+            lost[self._edges_near(new_obstacles, newest.resolution)] = True
         return ChangedNetwork(newest, changed, new_obstacles, lost, alpha)
 
-    def _losses_on(self, newest: OccupancyMap) -> FloatArray:
-        """Return alpha (N,) of the nodes."""
+    def _node_losses(self, newest: OccupancyMap) -> FloatArray:
+        """Losses alpha (N,) of the nodes on the newest map."""
         if self.hiding:
-            losses = self._losses.on(newest, self._occupancy, True)
-            alpha = losses.in_blocks(np.stack(self._cells, axis=1))
+            losses = self._losses.update(newest, self._occupancy, True)
+            alpha = losses.block_losses(np.stack(self._cells, axis=1))
         else:
             values = newest.values[self._cells][None, :]
             alpha = risk_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
         alpha[np.unique(self._ends)] = 0.0
         return alpha
 
-    def _near(self, centres: FloatArray, resolution: float) -> IndexArray:
-        """Return the edges with an obstacle cell, given by its centre (L, 2), in their clearance.
-
-        The cell's circumscribed circle stands for it.
-        """
+    def _edges_near(self, centres: FloatArray, resolution: float) -> IndexArray:
+        """Edges (K,) whose clearance meets the circumscribed circle of a cell of centres (L, 2)."""
         reach = self._clearance + (math.sqrt(0.5) + TOUCH) * resolution
         half = float(np.hypot(*(self._heads - self._tails).T).max(initial=0.0)) / 2
         pairs = cKDTree(centres).sparse_distance_matrix(self._middles, half + reach,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a plan, and warnings about them in words."""
+"""The numbers of a plan, and warnings about them as sentences."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..arrays import FloatArray
-from ..game.strategy import within_slack
+from ..game.strategy import within_tolerance
 from ..game.tolerance import Reason
 from ..words import distance, ends
 from .one_place import OnePlace, find_one_place
@@ -22,7 +22,7 @@ from .refinement import LEAST_FALL
 
 _Said = TypeVar('_Said')
 Where = Callable[[FloatArray], str]
-# What a gap over the slack says about the search.
+# Endings of the sentence about a gap over the slack, by the reason for which the search ended.
 _WHY: dict[Reason, str] = {
     'complete': 'the search ended',
     'time': 'the time limit ended the search: to come closer, allow more time '
@@ -31,16 +31,16 @@ _WHY: dict[Reason, str] = {
               'max_detour may help',
     'stalled': 'no closer strategy or bound was found, and more time would not help',
 }
-# Maximum spacing of nodes that goes without saying, as a share of the reach.
+# Spacing of nodes from which on it is mentioned, as a share of the reach.
 MAX_SPACING = 0.25
-# Maximum share of the way in the secured area that goes without saying.
+# Share of the way in the secured area from which on it is mentioned.
 MAX_SECURED = 0.5
-# Maximum length budget that goes without saying, as a multiple of the shortest route.
+# Length budget from which on it is mentioned, as a multiple of the shortest route.
 MAX_DETOUR = 5.0
 
 
 def _once_a_plan(say: Callable[[Plan], _Said]) -> Callable[[Plan], _Said]:
-    """Keep what is said of a plan as long as the plan: a node reports it with each departure."""
+    """Cache the result for each plan as long as that lives: a node asks at each departure."""
     known: WeakKeyDictionary[Plan, _Said] = WeakKeyDictionary()
     return wraps(say)(lambda plan: known[plan] if plan in known else (
         known.setdefault(plan, say(plan))))
@@ -52,7 +52,7 @@ def in_world(xy: FloatArray) -> str:
 
 
 def concerns(plan: Plan, where: Where = in_world) -> list[str]:
-    """Return what should be known about the value of a plan, one sentence each.
+    """Return warnings about a plan's value, one sentence each.
 
     ``where`` writes a world position (2,) [m].
     """
@@ -74,12 +74,11 @@ def _ends(plan: Plan) -> str:
 
 
 def assumptions(plan: Plan) -> list[str]:
-    """Return what a plan's value takes for granted, one sentence each, the main two first."""
+    """Return the assumptions behind a plan's value, one sentence each, the main two first."""
     game = plan.trip.game.options
-    # Of the straight way from start to goal, by the stops, in the secured area.
     straight = np.hypot(*np.diff(np.array(plan.ends_xy), axis=0).T)
-    held = game.secured_distance
-    share = float(np.minimum(straight, 2.0 * held).sum() / straight.sum())
+    radius = game.secured_distance
+    share = float(np.minimum(straight, 2.0 * radius).sum() / straight.sum())
     much = f', which is {share:.0%} of the straight way' if share > MAX_SECURED else ''
     if not game.reach:
         where = ("an ambusher waits at one of the network's nodes and hits only routes through "
@@ -88,15 +87,15 @@ def assumptions(plan: Plan) -> list[str]:
         places = 'anywhere else' if holds_anywhere(plan.options) else 'at a node of the network'
         where = f'an ambush {places} hits whatever passes within {distance(game.ambush_radius)}'
     more = [f'nobody can wait within {distance(radius)} of ({x:.1f}, {y:.1f})'
-            for x, y, radius in game.held_places]
+            for x, y, radius in game.secured_places]
     if game.tube:
         more.append(f'paths stray at most {distance(game.tube)} from their drawn routes')
-    around = f'within {distance(held)} of' if held else 'at'
+    around = f'within {distance(radius)} of' if radius else 'at'
     return [f'nobody can wait {around} {_ends(plan)}{much}', where, *more, *_coarse(plan)]
 
 
 def _coarse(plan: Plan) -> list[str]:
-    """Say that a finer network could have a lower value: refinement was short, or there is none."""
+    """Say that a finer network could have a lower value, if it was refined too little or not."""
     reach, spacing, rounds = plan.options.game.ambush_radius, plan.spacing, plan.refinement
     if plan.few:
         return []
@@ -110,14 +109,14 @@ def _coarse(plan: Plan) -> list[str]:
 
 
 def is_sound(plan: Plan) -> bool:
-    """Return whether the gap is within the slack, and an ambush costs anything at all."""
-    return within_slack(plan.trip, plan.options.strategy) and plan.value > 0.0
+    """Return whether the gap is within the tolerance, and the value is positive."""
+    return within_tolerance(plan.trip, plan.options.strategy) and plan.value > 0.0
 
 
 def wide_gap(plan: Plan) -> str:
-    """Why the value is further above its lower bound than the slack, and what helps; '' if not."""
+    """Say why the gap exceeds the tolerance, and how to close it; '' if it does not."""
     strategy, options = plan.trip, plan.options.strategy
-    if within_slack(strategy, options):
+    if within_tolerance(strategy, options):
         return ''
     wide = f'the value is {strategy.value:.4g}, and no lower bound of it was found'
     if strategy.lower_bound > 0.0:
@@ -132,7 +131,7 @@ def wide_gap(plan: Plan) -> str:
 
 
 def _long_routes(plan: Plan) -> str:
-    """Say that the length budget seems to be a percentage; empty if it does not."""
+    """Say that the length budget seems to be a percentage; '' if it does not."""
     detour = plan.options.strategy.max_detour
     if not MAX_DETOUR < detour < math.inf:
         return ''
@@ -141,7 +140,7 @@ def _long_routes(plan: Plan) -> str:
 
 
 def _secured_area(plan: Plan, where: Where) -> str:
-    """Say that the secured area, or one place just outside it, decides the value; else empty."""
+    """Say that the secured area, or one place just outside it, decides the value; else ''."""
     bottleneck, game = plan.bottleneck, plan.drawn_from.game
     secured = game.options.secured_distance
     if not len(game.sites):
@@ -152,13 +151,13 @@ def _secured_area(plan: Plan, where: Where) -> str:
     enough = game.options.ambush_radius + game.options.tube + start_tolerance(
         plan.options, plan.spacing)
     asked = plan.options.game.secured_radius
-    hold = asked is not None and asked < enough
+    too_small = asked is not None and asked < enough
     if place := find_one_place(plan):
-        return _of_one_place(plan, place, enough if hold else 0.0, where)
-    if hold and asked is not None and game.reach > 0.0:
+        return _one_place_text(plan, place, enough if too_small else 0.0, where)
+    if too_small and asked is not None and game.reach > 0.0:
         return (f'an ambush reaches {distance(game.reach)}, tube included, but only '
                 f'{distance(asked)} around start and goal are secured: an ambush just outside may '
-                f'hit every route; hold {distance(enough)} (game.secured_radius -1)')
+                f'hit every route; secure {distance(enough)} (game.secured_radius -1)')
     if not bottleneck.near_ends:
         return ''
     count, near = len(bottleneck.sites), bottleneck.near_ends
@@ -169,20 +168,20 @@ def _secured_area(plan: Plan, where: Where) -> str:
     )
 
 
-def _of_one_place(plan: Plan, place: OnePlace, enough: float, where: Where) -> str:
-    """Say where the one place that hits every route is, and what helps, the best first."""
-    of = f' of leg {place.leg + 1}' if len(plan.legs) > 1 else ''
-    what = f'one place covers every way {"into" if place.leads_in else "out of"} {place.end}' if (
-        place.covers_end) else f'one place hits every route{of}'
-    held = None if place.held is None else max(place.held, enough)
-    helps = [f'secure {distance(held)} around {_ends(plan)} (game.secured_radius={held:.4g})'
-             ] if held else []
+def _one_place_text(plan: Plan, place: OnePlace, enough: float, where: Where) -> str:
+    """Say where the place that hits every route is, and list the remedies, the best first."""
+    leg = f' of leg {place.leg + 1}' if len(plan.legs) > 1 else ''
+    what = f'one place covers every way {"into" if place.arriving else "out of"} {place.end}' if (
+        place.covers_end) else f'one place hits every route{leg}'
+    radius = None if place.secured_radius is None else max(place.secured_radius, enough)
+    helps = [f'secure {distance(radius)} around {_ends(plan)} (game.secured_radius={radius:.4g})'
+             ] if radius else []
     helps += ['hold places on the way (ambush hold finds them)',
               f'choose another start{", stop" * (len(plan.legs) > 1)} or goal']
     if place.detour and place.detour > plan.options.strategy.max_detour:
         helps.append('or drive around it (strategy.max_detour='
                      f'{math.ceil(10.0 * place.detour) / 10.0:g})')
-    return (f'{what}, at {where(place.xy)}, {distance(place.away)} from {place.end}: an ambush '
+    return (f'{what}, at {where(place.xy)}, {distance(place.distance)} from {place.end}: an ambush '
             f'there always succeeds and costs {plan.drawn_from.value:.4g}. What helps: '
             f'{", ".join(helps)}')
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A leg's strategy conditioned on its routes avoiding some edges.
 
-Drawing routes until one is clear samples this conditional strategy. On an acyclic network it is
-exact: let w = p / x be the probability of the next edge, and Z_i = sum w_ik Z_k that of reaching
-the target from node i by the other edges; the next edge then has probability w_ik Z_k / Z_i. Of a
-mixture of whole routes, those that are clear keep their odds.
+Drawing routes until one is clear samples this conditional strategy. Of a Markov chain it is again
+one: let w = p / x be the probability of the next edge at its tail, and Z_i = sum w_ik Z_k that of
+reaching the target from node i by clear edges; the next edge then has probability w_ik Z_k / Z_i.
+Of a mixture of whole routes, the clear ones keep their odds.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..game.strategy import Strategy
 
 
 class ConditionedStrategy:
-    """The conditional strategies of one strategy; there are none if it has a cycle."""
+    """A strategy whose routes can be conditioned on avoiding edges, unless it has a cycle."""
 
     def __init__(self, strategy: Strategy) -> None:
         self.strategy = strategy
@@ -34,17 +34,17 @@ class ConditionedStrategy:
 
     @cached_property
     def _nodes(self) -> IndexArray:
-        """The nodes of the chain in the whole network."""
+        """Numbers (n,) of the chain's nodes in the whole network."""
         assert self._chain is not None
-        on = self._chain.network
-        nodes = np.zeros(on.count, dtype=np.int64)
-        nodes[on.tail], nodes[on.head] = self.strategy.network.edges[on.edge].T
+        network = self._chain.network
+        nodes = np.zeros(network.count, dtype=np.int64)
+        nodes[network.tail], nodes[network.head] = self.strategy.network.edges[network.edge].T
         return nodes
 
     def avoiding(self, lost: BoolArray) -> tuple[float, Law | None]:
-        """The probability that a route avoids the edges ``lost`` (M,), and the law of these.
+        """Return the probability that a route avoids the edges ``lost`` (M,), and the law then.
 
-        The law is None if none does.
+        The law is None if no route does.
         """
         if not lost[self.strategy.edge_probability > 0.0].any():
             return 1.0, self.strategy.law
@@ -59,41 +59,41 @@ class ConditionedStrategy:
         clear_chain, share = self._chain.avoiding(np.flatnonzero(lost[self._chain.network.edge]))
         return share, clear_chain if share > 0.0 else None
 
-    def onwards(self, begins: FloatArray, lost: BoolArray) -> FloatArray:
-        """p (M,) of rests of routes without the edges ``lost`` (M,).
+    def rest_flow(self, start: FloatArray, lost: BoolArray) -> FloatArray:
+        """Return the flow p (M,) of rests of routes that avoid the edges ``lost`` (M,).
 
-        They begin at each node with probability ``begins`` (N,). ValueError if none is clear.
+        They start at each node with probability ``start`` (N,). Raises ValueError if none is clear.
         """
-        chances = self._chances(lost)
-        if self._chain is None or not chances.any():
+        shares = self._clear_shares(lost)
+        if self._chain is None or not shares.any():
             raise ValueError('no rest of a route is clear')
         network = self._chain.network
-        visits = network.onwards.solve(chances, begins[self._nodes])
+        visits = network.onwards.solve(shares, start[self._nodes])
         if visits[-1] == 0.0:
             raise ValueError('no rest of a route is clear')
-        return sums(network.edge, visits[network.tail] * chances, len(lost))
+        return sums(network.edge, visits[network.tail] * shares, len(lost))
 
-    def draw_from(self, node: int, lost: BoolArray, rng: np.random.Generator) -> IndexArray | None:
-        """Draw how a route goes on from ``node`` without the edges ``lost`` (M,).
+    def draw_rest(self, node: int, lost: BoolArray, rng: np.random.Generator) -> IndexArray | None:
+        """Draw the rest of a route from ``node`` that avoids the edges ``lost`` (M,).
 
-        Returns the nodes (K,) from there to the target; None if no route does.
+        Returns the nodes (K,) from there to the target; None if no route leads on.
         """
         if self._chain is None or node not in self._nodes:
             return None
-        network, chances = self._chain.network, self._chances(lost)
+        network, shares = self._chain.network, self._clear_shares(lost)
         nodes = [int(np.flatnonzero(self._nodes == node)[0])]
         while nodes[-1] < network.count - 1:
             first, end = np.searchsorted(network.tail, (nodes[-1], nodes[-1] + 1))
-            own = first + np.flatnonzero(chances[first:end])
-            if not len(own):
+            edges = first + np.flatnonzero(shares[first:end])
+            if not len(edges):
                 return None
-            own = own[np.argsort(network.edge[own])]  # the same on all machines
-            weights = chances[own]
-            nodes.append(int(network.head[own[rng.choice(len(own), p=weights / weights.sum())]]))
+            edges = edges[np.argsort(network.edge[edges])]  # the same on all machines
+            odds = shares[edges]
+            nodes.append(int(network.head[edges[rng.choice(len(edges), p=odds / odds.sum())]]))
         return self._nodes[nodes]
 
-    def _chances(self, lost: BoolArray) -> FloatArray:
-        """Return the probability of each chain edge at its tail (m,), on the way to the target."""
+    def _clear_shares(self, lost: BoolArray) -> FloatArray:
+        """Probability (m,) of each chain edge at its tail, given that the route is clear."""
         if self._chain is None:
             return np.zeros(0)
         network = self._chain.network
@@ -106,13 +106,13 @@ class ConditionedStrategy:
 
 def clear_laws(legs: Iterable[ConditionedStrategy],
                lost: Iterable[BoolArray]) -> tuple[float, list[Law]]:
-    """The probability that a route avoids the ``lost`` edges of each leg, and the legs' laws then.
+    """Return the probability that a route avoids the ``lost`` edges, and the law of each leg then.
 
-    0 and no laws if none does.
+    It is 0, and there are no laws, if no route does.
     """
     share, laws = 1.0, list[Law]()
-    for leg, own in zip(legs, lost, strict=True):
-        clear, law = leg.avoiding(own)
+    for leg, leg_lost in zip(legs, lost, strict=True):
+        clear, law = leg.avoiding(leg_lost)
         if law is None:
             return 0.0, []
         share *= clear

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The draw of a departure: its route and its path follow from a plan and a random source."""
+"""The draw of a departure: route and path from a plan and a random source."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class DrawnRoute:
-    """A route, the nodes of each leg, and the poses (L, 3) = (x, y, yaw) of its path [m, m, rad].
+    """A drawn route, and the poses (L, 3) = (x, y, yaw) of its path [m, m, rad].
 
-    ``rng`` is the generator that drew it, for what is drawn after it.
+    ``rng`` is the generator after the draw.
     """
 
     route: Route
@@ -35,16 +35,16 @@ def draw_route(plan: Plan, source: Sequence[int], spacing: float = 0.0, ends: En
                newest: OccupancyMap | None = None) -> DrawnRoute | None:
     """Draw the route of a departure, and its path between ``ends`` [m].
 
-    ``source`` seeds the generator, and nothing else is random. Poses are at most ``spacing`` [m]
-    apart (0: the plan's). On changed ``ground``, routes are drawn until one is clear on the newest
-    map; None if hardly any is.
+    All randomness comes from ``source``, which seeds the generator. Poses are at most ``spacing``
+    [m] apart (0: the plan's). On changed ``ground``, routes are drawn until one is clear on the
+    newest map; returns None if hardly any is.
     """
     rng = np.random.default_rng(source)
     if ground is None or newest is None:
         route: Route | None = tuple(leg.sample_route(rng) for leg in plan.legs)
     else:
         route = ground.draw(rng, newest)
-        plan = ground.fitted(newest, ends) if ends else plan
+        plan = ground.fit_plan(newest, ends) if ends else plan
     if route is None:
         return None
     return DrawnRoute(route, departure_path(plan, route, spacing or plan.spacing, ends), rng)

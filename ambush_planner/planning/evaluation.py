@@ -23,12 +23,12 @@ TIE = 1e-12
 
 @dataclass(frozen=True)
 class Measures:
-    """One planner's row of the table.
+    """Row of the table for one planner.
 
-    ``expected_length`` is E [m, or s if the network has driving times]; ``p_first`` is P_1, the
-    probability of an ambush by the equilibrium ambusher; ``p_repeated`` and ``v_repeated`` are
-    P_inf and V_inf, probability and mean loss of an ambush by one who has learnt the planner's
-    strategy. Losses of a trip with stops are added up over its legs.
+    ``expected_length`` is E [m, or s if the network has driving times]. ``p_first`` is P_1, the
+    probability of being hit by the equilibrium ambusher. ``p_repeated`` and ``v_repeated`` are
+    P_inf and V_inf: probability of a hit and mean loss if the ambusher has learnt the planner's
+    strategy. On a trip with stops, losses are summed over the legs.
     """
 
     planner: str
@@ -39,7 +39,7 @@ class Measures:
 
 
 def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
-    """Compare a plan, or a strategy, with the planners that always drive the same route.
+    """Compare a plan or a strategy with planners that always drive the same route.
 
     An ambusher who has learnt a fixed route waits at its worst site; against the stochastic planner
     nothing beats the equilibrium.
@@ -59,52 +59,54 @@ def evaluate(planned: Strategy | Plan) -> dict[str, Measures]:
     1.0
     """
     if isinstance(planned, Plan):
-        return compared(planned.drawn_from, planned.trip)
-    return compared(planned.alone, planned.alone)
+        return compare_with_fixed(planned.drawn_from, planned.trip)
+    return compare_with_fixed(planned.as_trip, planned.as_trip)
 
 
-def compared(drawn: TripStrategy, whole: TripStrategy) -> dict[str, Measures]:
-    """Compare strategies with the planners that always drive one route of a leg's whole network.
+def compare_with_fixed(drawn: TripStrategy, whole: TripStrategy) -> dict[str, Measures]:
+    """Compare the strategies that departures are ``drawn`` from with fixed routes.
 
-    The strategies are the same unless departures are ``drawn`` from few routes.
+    Fixed routes are those of the ``whole`` networks; the strategies differ only if departures are
+    drawn from few routes.
     """
     legs = drawn.joint
-    p_first = _meets(legs, [leg.law for leg in drawn.legs], drawn.ambusher.q)
+    p_first = _hit_probability(legs, [leg.law for leg in drawn.legs], drawn.ambusher.q)
     stochastic = Measures('stochastic', drawn.expected_length, p_first, p_first, drawn.value)
     return {
         'stochastic': stochastic,
-        'energy_efficient': _fixed('energy_efficient', whole, energy_efficient_route),
-        'risk_avoidance': _fixed('risk_avoidance', whole, risk_avoiding_route),
+        'energy_efficient': _measure_fixed('energy_efficient', whole, energy_efficient_route),
+        'risk_avoidance': _measure_fixed('risk_avoidance', whole, risk_avoiding_route),
     }
 
 
 def energy_efficient_route(game: Game) -> IndexArray:
-    """Nodes (K,) of a shortest route."""
+    """Return the nodes (K,) of a shortest route."""
     return shortest_route(game.network, np.flatnonzero(game.playable))
 
 
 def risk_avoiding_route(game: Game) -> IndexArray:
-    """Nodes (K,) of a route of least sum of alpha; among these, of a shortest one."""
-    through = game.least_weights(game.network.alpha[game.network.heads])
-    tied = through <= through.min() * (1.0 + TIE)
+    """Return the nodes (K,) of a route of least sum of alpha; of several, of a shortest one."""
+    least_alpha = game.least_weights(game.network.alpha[game.network.heads])
+    tied = least_alpha <= least_alpha.min() * (1.0 + TIE)
     return shortest_route(game.network, np.flatnonzero(tied))
 
 
-def _fixed(planner: str, trip: TripStrategy, choose: Callable[[Game], IndexArray]) -> Measures:
+def _measure_fixed(planner: str, trip: TripStrategy,
+                   choose: Callable[[Game], IndexArray]) -> Measures:
     legs = trip.joint
     flows = [route_strategy(game.network, choose(game)) for game in legs.games]
     laws = [law_of(game, p) for game, p in zip(legs.games, flows, strict=True)]
     worst, _ = largest_product(legs.loss, legs.entering, joint_law(legs, laws))
     length = sum(float(p @ game.network.travel_costs)
                  for game, p in zip(legs.games, flows, strict=True))
-    return Measures(planner, length, _meets(legs, laws, trip.ambusher.q),
+    return Measures(planner, length, _hit_probability(legs, laws, trip.ambusher.q),
                     1.0 if worst > 0.0 else 0.0, worst)
 
 
-def _meets(legs: Legs, laws: Sequence[Law], q: FloatArray) -> float:
-    """P(the ambusher who waits by q (N,) hits any leg), the paper's equation 8."""
-    at_sites = q[legs.games[0].sites]
-    rows = np.flatnonzero(at_sites > 0.0)
-    missed = [1.0 - law.meets(own) for law, own in zip(
+def _hit_probability(legs: Legs, laws: Sequence[Law], q: FloatArray) -> float:
+    """Probability that an ambusher with the strategy q (N,) hits some leg (paper, equation 8)."""
+    site_q = q[legs.games[0].sites]
+    rows = np.flatnonzero(site_q > 0.0)
+    missed = [1.0 - law.meets(leg_rows) for law, leg_rows in zip(
         laws, legs.rows_by_leg(csr_matrix(legs.entering[rows])), strict=True)]
-    return float(at_sites[rows] @ (1.0 - np.prod(missed, axis=0)))
+    return float(site_q[rows] @ (1.0 - np.prod(missed, axis=0)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mixture of few routes that departures draw from, as ``operations.few_routes`` finds it."""
+"""Record of a mixture of few routes that departures are drawn from (``operations.few_routes``)."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..game.strategy import TripStrategy
-from ..routes.driven_path import joined
+from ..routes.driven_path import join_legs
 
 
 @dataclass(frozen=True, eq=False)
 class FewRoutes:
-    """Few routes of each leg of a trip, drawn leg by leg.
+    """A mixture of few routes of each leg of a trip, drawn leg by leg.
 
     Attributes
     ----------
     paths : K arrays (L, 3)
-        The driven paths of the legs' routes, those of the first leg first.
+        The driven paths of the routes, leg by leg.
     leg : (K,)
         The leg of each, from 0.
     shares : (K,)
-        How likely each is driven on its leg; the leg's largest first.
+        Probability of each on its leg, in falling order.
     trip : TripStrategy
-        The mixture, on networks of each leg's paths side by side. Its ambusher waits at the worst
-        place anywhere on the map. Its lower bound is that of all mixtures of the ``candidates``:
-        paths as they are driven, from which these were chosen. The plan's own bound is that of
+        The mixture as strategies, on networks that have each leg's paths as separate lines. Its
+        ambusher waits at the worst place of the map. Its lower bound is that of all mixtures of the
+        candidates, the driven paths from which these were chosen. The plan's own bound is about
         another game, in which convoys may stray from their routes by the tube.
     candidates : int
-        Their number.
+        Number of candidates.
     costs : (K,)
-        Lengths [m], or driving times [s] if the network has them.
+        Length of each [m], or its driving time [s] if the network has times.
     curve : ((K, value), ...)
         The value of the best mixture found with at most K routes a leg.
     """
@@ -47,12 +47,12 @@ class FewRoutes:
 
     @property
     def value(self) -> float:
-        """Mean loss by the worst ambusher who knows all of this."""
+        """Largest mean loss that an ambush at one place causes."""
         return self.trip.value
 
     @property
     def lower_bound(self) -> float:
-        """No mixture of the candidates has a smaller value."""
+        """Lower bound of the value of every mixture of the candidates."""
         return self.trip.lower_bound
 
     @property
@@ -62,10 +62,10 @@ class FewRoutes:
         return np.asarray(network.points[q.argmax()])
 
     def draw(self, n: int, rng: np.random.Generator) -> IndexArray:
-        """Draw ``n`` departures, (n, legs): the number of a route for each leg."""
-        own = [np.flatnonzero(self.leg == k) for k in range(len(self.trip.legs))]
-        return np.stack([rng.choice(each, n, p=self.shares[each]) for each in own], axis=1)
+        """Draw ``n`` departures: the numbers (n, legs) of their routes."""
+        by_leg = [np.flatnonzero(self.leg == k) for k in range(len(self.trip.legs))]
+        return np.stack([rng.choice(each, n, p=self.shares[each]) for each in by_leg], axis=1)
 
     def path(self, numbers: IndexArray) -> FloatArray:
-        """The path of a departure with some ``numbers`` (legs,) of routes."""
-        return joined([self.paths[k] for k in numbers])
+        """Return the path (L, 3) of a departure with the routes ``numbers`` (legs,)."""
+        return join_legs([self.paths[k] for k in numbers])

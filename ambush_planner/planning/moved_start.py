@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plan for a convoy that has moved on: its routes, joined from where the convoy is now.
+"""Plans for a convoy that is not at the planned start: it joins the routes from its place.
 
-The convoy drives straight to a node around it that routes of the first leg use, and goes on from
-there as they do. The node is drawn as often as routes pass it. The joined routes are those of an
-acyclic strategy again: on the network whose source is the convoy's place, joined to these nodes.
-Its value is computed like any other, and counts each site that can hit the way to the route. The
+The convoy drives straight to a node nearby that routes of the first leg use, and goes on from there
+as they do. The node is drawn in proportion to the routes through it. So the joined routes are those
+of an acyclic strategy again, on the network whose source is the convoy's place, with an edge to
+each of these nodes. Its value is computed like any other, and covers the way to the route. The
 secured area is around the convoy's place instead of the planned start. Later legs stay as they are.
 
-A convoy that is on its way, and finds the rest of its route blocked, takes another rest of the same
-plan (``other_rest``).
+A convoy under way whose route is blocked takes another rest of the same plan (``other_rest``).
 """
 
 from __future__ import annotations
@@ -38,19 +37,19 @@ from .conditioning import ConditionedStrategy
 from .departure import DrawnRoute
 from .plan import Plan, Route, departure_path
 
-# Radius of the region around a plan's start in which a convoy may be that joins its routes, and
-# maximum length of the straight line to them [node spacings].
+# Largest distance of a convoy from the plan's start, and of the nodes at which it joins the routes
+# from the convoy [node spacings].
 REGION, _STRAIGHT = 10.0, 5.0
-# Maximum number of nodes at which they are joined.
+# Maximum number of these nodes.
 _MAX_JOINS = 60
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedPlan:
-    """A plan from another start, and its value on the newest map.
+    """A plan from another start, with its assessment on the newest map.
 
-    Routes and paths are drawn from ``plan`` directly: none of its routes is blocked. The
-    assessment's ``clear_share`` is the share of the original routes that are clear.
+    None of the routes of ``plan`` is blocked; ``clear_share`` of the assessment is the share of the
+    original routes that are clear.
     """
 
     plan: Plan
@@ -65,33 +64,33 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     strategy has cycles.
     """
     plan, network = ground.plan, ground.plan.network
-    away = math.dist(ends[0], plan.start_xy)
-    if plan.options.network.roads or away > REGION * plan.spacing:
+    if (plan.options.network.roads
+            or math.dist(ends[0], plan.start_xy) > REGION * plan.spacing):
         return None
-    look, begins = ground.compare(newest), ground.conditioned[0]
-    share, laws = ground.clear_laws(look)
+    changed = ground.compare(newest)
+    share, laws = ground.clear_laws(changed)
     if share < MIN_CLEAR:
         return None
     p = laws[0].uses(len(network.edges))
-    at = _nodes_ahead(ground, newest, ends[0], p)
-    if not len(at):
+    joins = _join_nodes(ground, newest, ends[0], p)
+    if not len(joins):
         return None
-    kept, lost = network.tails != network.source, ground.by_leg(look.lost)[0]
+    stays, lost = network.tails != network.source, ground.by_leg(changed.lost)[0]
     points = network.points.copy()
     points[network.source] = ends[0]
-    edges = np.column_stack((np.full(len(at), network.source), at))
-    moved = replace(network, points=points, alpha=look.alpha, ground_length=None, seconds=None,
-                    edges=np.concatenate((network.edges[kept], edges)))
-    odds = sums(network.heads, p, len(points))[at]
+    edges = np.column_stack((np.full(len(joins), network.source), joins))
+    moved = replace(network, points=points, alpha=changed.alpha, ground_length=None, seconds=None,
+                    edges=np.concatenate((network.edges[stays], edges)))
+    odds = sums(network.heads, p, len(points))[joins]
     odds /= odds.sum()
-    onwards = begins.onwards(sums(at, odds, len(points)), lost)
+    rest = ground.conditioned[0].rest_flow(sums(joins, odds, len(points)), lost)
     try:
-        trip = _joined_trip(ground, newest, moved, np.concatenate((onwards[kept], odds)), laws)
+        trip = _joined_trip(ground, newest, moved, np.concatenate((rest[stays], odds)), laws)
     except AmbushPlannerError:  # no route within the budget
         return None
-    fitted = ground.fitted(newest, ends, np.unique(at))
+    fitted = ground.fit_plan(newest, ends, np.unique(joins))
     first = fitted.corridors[0]
-    secured = secured_in_map_axes(trip.game.secured.shrunk(trip.game.options.tube), first.origin)
+    secured = secured_in_map_axes(trip.game.secured.shrink(trip.game.options.tube), first.origin)
     first = replace(first, network=moved, secured=secured)
     joined = replace(fitted, trip=trip, corridors=(first, *fitted.corridors[1:]))
     return JoinedPlan(joined, Assessment(trip.value, trip.lower_bound, share, trip.expected_length,
@@ -102,49 +101,47 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
 def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, leg: int,
                ahead: IndexArray, source: Sequence[int],
                spacing: float = 0.0) -> DrawnRoute | None:
-    """Draw another rest of the routes that the convoy at ``ends[0]`` [m] is on, in a ``leg``.
+    """Draw another rest of the route for a convoy at ``ends[0]`` [m] that is driving a ``leg``.
 
-    The rest of the leg is drawn on condition that it begins at the first of the nodes ``ahead``
-    (K,) from which it can be driven on the newest map; the convoy drives straight there. The legs
-    after it are drawn again.
-
-    ``source`` and ``spacing`` are those of ``draw_route``. The route is that of this leg and those
-    after it, with the source of the leg in place of the convoy. None if no rest is clear.
+    The convoy drives straight to the first of the nodes ``ahead`` (K,) from which a rest of the leg
+    is clear on the newest map; that rest is drawn, and later legs are drawn again. ``source`` and
+    ``spacing`` are those of ``draw_route``. The route is that of this leg and later ones, with the
+    source of the leg in place of the convoy. Returns None if no rest is clear.
     """
     rng, network = np.random.default_rng(source), ground.plan.legs[leg].network
     lost, place = ground.by_leg(ground.compare(newest).lost)[leg], np.array([ends[0]])
     for node in ahead.tolist():
-        at = network.points[[node]]
-        if (at == place).all() or not ground.clear(place, at, newest).all():
+        join = network.points[[node]]
+        if (join == place).all() or not ground.clear(place, join, newest).all():
             continue
-        rest = ground.conditioned[leg].draw_from(node, lost, rng)
+        rest = ground.conditioned[leg].draw_rest(node, lost, rng)
         later = ground.draw(rng, newest, leg + 1)
         if rest is not None and later is not None:
             route = (np.concatenate(([network.source], rest)), *later)
-            fitted = ground.fitted(newest, ends, np.array([node]), leg)
+            fitted = ground.fit_plan(newest, ends, np.array([node]), leg)
             path = departure_path(fitted, route, spacing or fitted.spacing, ends)
             return DrawnRoute(route, path, rng)
     return None
 
 
 def whole_route(left: Route, drawn: Route) -> Route:
-    """Return the whole route of a convoy that has left a route for another rest of it.
+    """Return the whole route of a convoy that changed from a route to a ``drawn`` rest.
 
-    ``drawn`` is that of ``other_rest``. Raises ValueError if the rest does not begin on the route
-    that was ``left``.
+    ``drawn`` is the route of ``other_rest``. Raises ValueError if it does not join the route that
+    was ``left``.
     """
     leg = len(left) - len(drawn)
-    (at,) = np.flatnonzero(left[leg] == drawn[0][1])
-    return (*left[:leg], frozen_array(np.concatenate((left[leg][:at], drawn[0][1:])), np.int64),
+    (join,) = np.flatnonzero(left[leg] == drawn[0][1])
+    return (*left[:leg], frozen_array(np.concatenate((left[leg][:join], drawn[0][1:])), np.int64),
             *drawn[1:])
 
 
 def rest_strategy(ground: ChangedGround, newest: OccupancyMap, route: Route,
                   drawn: Route) -> TripStrategy:
-    """Return the strategies that a whole route is from, given how it began.
+    """Return the strategies from which a whole ``route`` was drawn, given its beginning.
 
-    ``other_rest`` has drawn the rest on the newest map, as in ``whole_route``. Raises ValueError if
-    it cannot have drawn one from there.
+    ``drawn`` is its rest, by ``other_rest`` on the newest map, as in ``whole_route``. Raises
+    ValueError if no rest could be drawn from there.
     """
     trip, number = ground.plan.trip, len(route) - len(drawn)
     legs, lost = list(trip.legs), ground.by_leg(ground.compare(newest).lost)
@@ -156,12 +153,12 @@ def rest_strategy(ground: ChangedGround, newest: OccupancyMap, route: Route,
 
 def _leg_given(strategy: Strategy, conditioned: ConditionedStrategy, lost: BoolArray,
                nodes: IndexArray, drawn: IndexArray) -> Strategy:
-    """The strategy of a leg given that its route (K,) began as it did, and the rest was drawn."""
+    """Strategy of a leg, given how its route ``nodes`` (K,) begins before the rest ``drawn``."""
     network = strategy.network
-    begins = np.zeros(len(network.points))
-    begins[drawn[1]] = 1.0
-    ended = drawn[1] == network.target
-    p = np.zeros(len(lost)) if ended else conditioned.onwards(begins, lost)
+    start = np.zeros(len(network.points))
+    start[drawn[1]] = 1.0
+    finished = drawn[1] == network.target
+    p = np.zeros(len(lost)) if finished else conditioned.rest_flow(start, lost)
     driven = nodes[:len(nodes) - len(drawn) + 2]
     steps = np.column_stack((driven[:-1], driven[1:]))
     if len(new := steps[route_edges(network, driven) < 0]):  # a departure that joined its plan
@@ -176,44 +173,46 @@ def _leg_given(strategy: Strategy, conditioned: ConditionedStrategy, lost: BoolA
     return replace(strategy, edge_probability=frozen_array(p, np.float64), mixture=None)
 
 
-def _nodes_ahead(ground: ChangedGround, newest: OccupancyMap, place: tuple[float, float],
-                 p: FloatArray) -> IndexArray:
-    """Return nodes (K,) on the first leg's routes of p (M,) to which a straight line is clear.
+def _join_nodes(ground: ChangedGround, newest: OccupancyMap, place: tuple[float, float],
+                p: FloatArray) -> IndexArray:
+    """Nodes (K,) on the first leg's routes of p (M,) to which the straight line is clear.
 
     They are at most ``_MAX_JOINS``, at all distances up to ``_STRAIGHT``.
     """
-    network, reach = ground.plan.network, _STRAIGHT * ground.plan.spacing
-    away = np.hypot(*(network.points - place).T)
-    on_routes = sums(network.heads, p, len(away)) > NO_FLOW
-    at = np.flatnonzero(on_routes & (away > 0.0) & (away <= reach))
-    at = at[ground.clear(np.broadcast_to(place, (len(at), 2)), network.points[at], newest)]
-    at = at[np.argsort(away[at], kind='stable')]
-    return np.sort(at[::math.ceil(len(at) / _MAX_JOINS)]) if len(at) else at
+    network, limit = ground.plan.network, _STRAIGHT * ground.plan.spacing
+    distance = np.hypot(*(network.points - place).T)
+    on_routes = sums(network.heads, p, len(distance)) > NO_FLOW
+    nodes = np.flatnonzero(on_routes & (distance > 0.0) & (distance <= limit))
+    lines = np.broadcast_to(place, (len(nodes), 2)), network.points[nodes]
+    nodes = nodes[ground.clear(*lines, newest)]
+    nodes = nodes[np.argsort(distance[nodes], kind='stable')]
+    return np.sort(nodes[::math.ceil(len(nodes) / _MAX_JOINS)]) if len(nodes) else nodes
 
 
 def _joined_trip(ground: ChangedGround, newest: OccupancyMap, network: Network, p: FloatArray,
                  laws: Sequence[Law]) -> TripStrategy:
-    """The strategies on another network of the first leg, with p (M,), and on those of the others.
+    """Certify p (M,) on another network of the first leg, with the laws of the later legs.
 
-    The length may exceed the budget, whose best routes begin elsewhere. Raises NoRoute or
-    BudgetInfeasible if the best route exceeds it.
+    The length of p may exceed the budget, which follows from the shortest route from the new start.
+    Raises NoRoute or BudgetInfeasible if no route is within it.
     """
-    before, options = ground.plan.trip, ground.plan.options.strategy
-    others = [replace(leg.network, alpha=network.alpha) for leg in before.legs[1:]]
-    games = make_games((network, *others), before.game.options)
+    planned, options = ground.plan.trip, ground.plan.options.strategy
+    others = [replace(leg.network, alpha=network.alpha) for leg in planned.legs[1:]]
+    games = make_games((network, *others), planned.game.options)
     budgets = (length_budget(games[0], options.max_detour), *(
         Budget(game, leg.length_budget, leg.shortest_length)
-        for game, leg in zip(games[1:], before.legs[1:], strict=True)))
+        for game, leg in zip(games[1:], planned.legs[1:], strict=True)))
     legs = Legs(games, budgets)
-    ambusher = replace(before.ambusher, circulations=())
+    ambusher = replace(planned.ambusher, circulations=())
     laws = (chain_of(network, p), *laws[1:])
     law = joint_law(legs, laws)
     value, _ = largest_product(legs.loss, legs.entering, law)
     bound = max(float(lower_bounds(legs, ambusher).sum()), 0.0)
-    at_nodes = Certificate(value, min(bound, value))
-    anywhere = replace(at_nodes, value=ground.at_any_cell(at_nodes, newest, law, moved=legs).value)
-    strategies = [Strategy(game, frozen_array(own.uses(len(game.playable)), np.float64), alone,
-                           budget, anywhere, own if isinstance(own, RouteMixture) else None)
-                  for game, budget, alone, own in zip(
-                      games, budgets, ambusher.by_leg(), laws, strict=True)]
-    return TripStrategy(tuple(strategies), anywhere)
+    certificate = ground.value_at_cells(Certificate(value, min(bound, value)), newest, law,
+                                        moved=legs)
+    strategies = [
+        Strategy(game, frozen_array(leg_law.uses(len(game.playable)), np.float64), leg_ambusher,
+                 budget, certificate, leg_law if isinstance(leg_law, RouteMixture) else None)
+        for game, budget, leg_ambusher, leg_law in zip(
+            games, budgets, ambusher.by_leg(), laws, strict=True)]
+    return TripStrategy(tuple(strategies), certificate)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All options of a plan, and the game that follows from them."""
+"""All options of a plan, and the quantities that follow from them and the map."""
 
 from __future__ import annotations
 
@@ -17,22 +17,21 @@ from ..option_checks import allowed, check_options, length
 
 # Maximum distance of a place from the site that stands for it, as a share of the reach.
 MAX_WIDENED = 0.04
-# Maximum number of parts of a cell's side, even if MAX_WIDENED would take more.
+# Maximum number of parts of a cell's side, even if MAX_WIDENED asks for more.
 MAX_PARTS = 5
 # Largest default tube, in node spacings; and, if the game has a reach, as a share of it.
 DEFAULT_TUBE, TUBE_OF_REACH = 0.35, 0.1
 # Largest distance of paths from the line of a road, unless a tube is set [m].
 ROAD_TUBE = 1.0
-# Of a graded network: the least spacing around the ends, and the radius of the discs around
-# refined places, in reaches.
-FINEST, AROUND = 1.0 / 6.0, 1.25
+# Least spacing of a graded network, and radius within which it is refined around a place [reaches].
+FINEST, REFINED_RADIUS = 1.0 / 6.0, 1.25
 # Maximum start tolerance, as a share of the reach; the secured area shrinks by it.
 MAX_TOLERANCE = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveOptions:
-    """Options that turn a drawn route into the driven path; raises InvalidOption.
+    """Options of the driven path; raises InvalidOption.
 
     Parameters
     ----------
@@ -40,16 +39,16 @@ class DriveOptions:
         Largest distance of the path from the drawn route [m]. It is added to the reach of the
         game, so that the certificate covers the driven path. With a reach, off roads, paths also
         cut corners of the route where no ambush gains by it. None: with a reach, ``DEFAULT_TUBE``
-        spacings, at most ``TUBE_OF_REACH`` times the reach, and on roads ``ROAD_TUBE``; without
-        one, the path only avoids nodes that its route does not use; on roads it also stays within
-        ``ROAD_TUBE`` of their lines.
+        spacings, at most ``TUBE_OF_REACH`` times the reach, and on roads at most ``ROAD_TUBE``;
+        without a reach, the path only avoids nodes that its route does not use, and on roads stays
+        within ``ROAD_TUBE`` of their lines.
     turning_radius
-        Least radius of turns [m], if the corridors have enough room.
+        Least radius of turns [m], where the corridors have enough room.
     start_tolerance
-        How far the start and goal of a departure may be from the plan's [m]. The secured area
-        shrinks by it, unless its radius is None, so that the certificate holds for all of them. At
-        most half a node spacing; with a reach, also at most a quarter of it and the radius of the
-        secured area.
+        Largest distance of a departure's start and goal from the plan's [m]. The secured area
+        shrinks by it, unless its radius is None, so that the certificate holds for all departures.
+        It is limited to half a node spacing; with a reach, also to a quarter of the reach and to
+        the radius of the secured area.
     tracking_error
         Largest distance of the robot from the path [m]; it adds to the tube. Only for games with a
         reach.
@@ -68,8 +67,8 @@ class DriveOptions:
 class PlanningOptions:
     """All options of a plan.
 
-    If the time limit passes, a strategy is still accepted whose gap beyond the risk slack is at
-    most ``max_gap`` times its value.
+    If the time limit passes, a strategy is accepted if its gap beyond the risk slack is at most
+    ``max_gap`` times its value.
     """
 
     network: NetworkOptions = field(default_factory=NetworkOptions)
@@ -86,10 +85,10 @@ class PlanningOptions:
 
 
 def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
-    """The game of a plan: with its tube, and with a secured area for all starts that it serves.
+    """Return the options of a plan's game, with its tube, widening and secured radius.
 
-    If an ambusher may wait anywhere, his sites stand for all places around them. The secured
-    area shrinks by the start tolerance, except that a radius of None includes it.
+    If ambushes are possible anywhere, sites are widened to stand for all places around them. The
+    secured area shrinks by the start tolerance, unless its radius is None.
     """
     spacing = node_spacing(risk_map, options.network)
     game = _driven_game(options, spacing)
@@ -117,74 +116,75 @@ def grading(risk_map: RiskMap, options: PlanningOptions,
     if refined is None or not is_graded(options):
         return None
     secured = _driven_game(options, node_spacing(risk_map, network)).secured_distance
-    return Grading(finest_spacing(risk_map, FINEST * reach), secured, refined, AROUND * reach)
+    return Grading(useful_spacing(risk_map, FINEST * reach), secured, refined,
+                   REFINED_RADIUS * reach)
 
 
-def finest_spacing(risk_map: RiskMap, wanted: float) -> float:
-    """The spacing [m]: nodes nearer to each other than half a cell show no more of the ground."""
-    return max(wanted, risk_map.resolution / 2.0)
+def useful_spacing(risk_map: RiskMap, spacing: float) -> float:
+    """Return a spacing [m], at least half a cell: nodes that are closer show no more ground."""
+    return max(spacing, risk_map.resolution / 2.0)
 
 
 def holds_anywhere(options: PlanningOptions) -> bool:
-    """Return whether a plan's value holds for ambushers anywhere on the ground, not only at nodes.
+    """Return whether a plan's value holds for ambushes anywhere on the ground, not only at nodes.
 
-    Cyclic strategies have no hit probabilities.
+    It does not for the linear programs, because hit probabilities of cyclic strategies are unknown.
     """
     return options.game.ambush_radius > 0.0 and options.strategy.solver == 'max_entropy'
 
 
 def parts_of_cells(resolution: float, game: GameOptions) -> int:
-    """Into how many parts a side of each cell is divided, whose centres are the sites.
+    """Return the number of parts into which each side of a cell is divided; 1 without a reach.
 
-    The farthest place of a part is within ``MAX_WIDENED`` times the reach from its centre, unless
-    that takes more than ``MAX_PARTS``. It is 1 if ambushers wait at nodes only.
+    The centres of the parts are the sites. No place of a part is further from its centre than
+    ``MAX_WIDENED`` times the reach, unless that takes more than ``MAX_PARTS``.
     """
     if game.ambush_radius == 0.0:
         return 1
-    farthest = MAX_WIDENED * (game.ambush_radius + game.tube)
-    return min(math.ceil(resolution / (math.sqrt(2.0) * farthest)), MAX_PARTS)
+    max_distance = MAX_WIDENED * (game.ambush_radius + game.tube)
+    return min(math.ceil(resolution / (math.sqrt(2.0) * max_distance)), MAX_PARTS)
 
 
 def start_tolerance(options: PlanningOptions, spacing: float) -> float:
-    """Return the greatest distance of a departure's start and goal from the plan's [m].
+    """Return the largest distance of a departure's start and goal from the plan's [m].
 
-    On roads they may not move: a straight way to the next node could leave the road.
+    On roads it is 0: a straight way to the next node could leave the road.
     """
     if options.network.roads:
         return 0.0
     game = _driven_game(options, spacing)
-    most = math.inf
+    limit = math.inf
     if game.reach > 0.0:
-        most = min(game.secured_distance, MAX_TOLERANCE * game.reach)
-    return min(options.drive.start_tolerance, 0.5 * spacing, most)
+        limit = min(game.secured_distance, MAX_TOLERANCE * game.reach)
+    return min(options.drive.start_tolerance, 0.5 * spacing, limit)
 
 
 def _driven_game(options: PlanningOptions, spacing: float) -> GameOptions:
-    """The game with the distance of the robot from the drawn route as its tube."""
-    strays = (tube(options, spacing) or 0.0) + options.drive.tracking_error
-    return replace(options.game, tube=strays)
+    """Options of the game with a tube for the path and the robot's tracking error."""
+    deviation = (tube(options, spacing) or 0.0) + options.drive.tracking_error
+    return replace(options.game, tube=deviation)
 
 
 def tube(options: PlanningOptions, spacing: float) -> float | None:
-    """The tube [m]; None if the game stays the plain one."""
+    """Return the tube [m]; None without a reach, if none is set."""
     if options.drive.tube is None and options.game.ambush_radius > 0.0:
         return automatic_tube(options, spacing)
     return options.drive.tube
 
 
-def strays(options: PlanningOptions, spacing: float) -> float:
-    """Return the greatest distance of paths from the drawn route, also in the plain game [m]."""
-    most = tube(options, spacing)
-    return automatic_tube(options, spacing) if most is None else most
+def max_deviation(options: PlanningOptions, spacing: float) -> float:
+    """Return the largest distance of paths from the drawn route, with a tube or without [m]."""
+    limit = tube(options, spacing)
+    return automatic_tube(options, spacing) if limit is None else limit
 
 
 def automatic_tube(options: PlanningOptions, spacing: float) -> float:
-    """The tube that is used with a reach if none is set [m]; without one, of the same size."""
+    """Return the tube for games with a reach if none is set [m]; without a reach, a similar one."""
     reach = options.game.ambush_radius
     return min(DEFAULT_TUBE * spacing, TUBE_OF_REACH * reach if reach > 0.0 else math.inf,
                ROAD_TUBE if options.network.roads else math.inf)
 
 
 def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """The distance of nodes, at least the map's resolution [m]."""
+    """Return the spacing of nodes, at least the map's resolution [m]."""
     return max(risk_map.resolution, chosen_spacing(risk_map, options))

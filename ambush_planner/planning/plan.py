@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests and plans: a risk map becomes a plan once, and each departure draws a route from it."""
+"""Requests and plans; routes and paths of departures."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..network.network import Network
 from ..notebook import Shown
 from ..option_checks import check_whole
 from ..routes.corridors import Corridors, make_corridors
-from ..routes.driven_path import Ends, driven_path, driven_paths, joined
+from ..routes.driven_path import Ends, driven_path, driven_paths, join_legs
 from ..words import distance
 from .few import FewRoutes
 from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
@@ -78,15 +78,23 @@ class PlanRequest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Shown):
-    """The strategies for a map, a start, stops and a goal, with everything that departures need.
+    """Strategies for a map, a start, stops and a goal, with everything that departures need.
 
-    ``corridors`` are the space around the routes of each leg that the driven path may use; () if
-    they are measured for each route that is drawn (``measured_corridors``).
-    ``spacing`` is the distance of the network's nodes, at least the map's resolution [m].
-    ``seconds`` is the planning time. ``risk_map`` is the map if the plan was made in this process,
-    else None. ``few`` is the mixture of few routes that departures draw from, None if they draw
-    from the strategies. ``refinement`` has the rounds in which the network was refined; () if it is
-    plain.
+    Attributes
+    ----------
+    corridors
+        Space around the routes of each leg that the driven path may use; () if it is measured for
+        each drawn route (``measured_corridors``).
+    spacing
+        Spacing of the network's nodes, at least the map's resolution [m].
+    seconds
+        Planning time [s].
+    risk_map
+        The map if the plan was made in this process, else None.
+    few
+        Mixture of few routes from which departures are drawn; None: they are drawn from ``trip``.
+    refinement
+        Rounds in which the network was refined; () if it is plain.
     """
 
     trip: TripStrategy
@@ -100,7 +108,7 @@ class Plan(Shown):
 
     @property
     def legs(self) -> tuple[Strategy, ...]:
-        """The strategy of each leg; their routes are drawn one by one."""
+        """The strategy of each leg; their routes are drawn independently."""
         return self.trip.legs
 
     @property
@@ -116,12 +124,12 @@ class Plan(Shown):
         return self.legs[0].network
 
     def of_leg(self, number: int) -> Plan:
-        """The plan of one leg alone."""
-        return replace(self, trip=self.legs[number].alone,
+        """Return the plan of one leg alone."""
+        return replace(self, trip=self.legs[number].as_trip,
                        corridors=self.corridors[number : number + 1], few=None)
 
     def legs_from(self, first: int) -> Plan:
-        """The plan of the legs from ``first`` on."""
+        """Return the plan of the legs from ``first`` on."""
         if first == 0:
             return self
         return replace(self, trip=replace(self.trip, legs=self.legs[first:]),
@@ -149,23 +157,24 @@ class Plan(Shown):
 
     @property
     def value(self) -> float:
-        """Mean loss per departure by the best ambush that knows everything except the draw.
+        """Largest mean loss per departure that an ambush at one place causes.
 
-        Of a trip with stops, the sum over its legs at one place.
+        The ambusher knows everything except the draw. On a trip with stops, losses are summed over
+        the legs.
         """
         return self.drawn_from.value
 
     @property
     def lower_bound(self) -> float:
-        """No strategies on the same network and budgets have a smaller value.
+        """Lower bound of the value of all strategies on the same network within the budgets.
 
-        If departures draw from a few routes: no mixture of the paths that these were chosen from.
+        If departures are drawn from few routes: of all mixtures of the candidate paths.
         """
         return self.drawn_from.lower_bound
 
     @property
     def gap_is_wide(self) -> bool:
-        """Return whether the strategies' gap is over ``max_gap``: better ones may exist."""
+        """Return whether the gap of ``trip`` is over ``max_gap``: better strategies may exist."""
         return gap_is_wide(self.trip, self.options)
 
     def _summary(self) -> dict[str, str]:
@@ -223,10 +232,10 @@ class Plan(Shown):
 
     @cached_property
     def driven_length(self) -> float:
-        """Mean length of the paths [m], as they are driven: they cut the corners of routes.
+        """Mean length of the driven paths [m], which cut the corners of routes.
 
-        The length budget counts the edges of the network. A fixed seed keeps it independent of
-        what departures draw.
+        The length budget, in contrast, is about the edges of the network. A fixed seed keeps this
+        independent of the draws of departures.
         """
         if self.few is not None:
             return float(self.few.shares @ path_lengths(self.few.paths))
@@ -235,22 +244,22 @@ class Plan(Shown):
 
     @property
     def start_xy(self) -> tuple[float, float]:
-        """Begin of the routes [m]."""
+        """Position of the start [m]."""
         return self._place(self.network.source)
 
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
-        """The stops as they are visited [m]."""
+        """Positions of the stops, in the order in which they are visited [m]."""
         return tuple(self._place(leg.network.source) for leg in self.legs[1:])
 
     @property
     def goal_xy(self) -> tuple[float, float]:
-        """End of the routes [m]: the requested goal, or where it was moved to."""
+        """Position of the goal [m], which may have been moved out of an obstacle."""
         return self._place(self.legs[-1].network.target)
 
     @property
     def ends_xy(self) -> tuple[tuple[float, float], ...]:
-        """Start, stops and goal [m]."""
+        """Positions of start, stops and goal [m]."""
         return (self.start_xy, *self.stops_xy, self.goal_xy)
 
     @property
@@ -260,7 +269,7 @@ class Plan(Shown):
 
     @property
     def start_tolerance(self) -> float:
-        """Return the greatest distance of a departure's start and goal from the plan's [m]."""
+        """Largest distance of a departure's start and goal from the plan's [m]."""
         return start_tolerance(self.options, self.spacing)
 
     def _place(self, node: int) -> tuple[float, float]:
@@ -274,66 +283,67 @@ def gap_is_wide(trip: TripStrategy, options: PlanningOptions) -> bool:
 
 
 def path_lengths(paths: Sequence[FloatArray]) -> FloatArray:
-    """Lengths (K,) of paths (L, 2 or 3) [m]."""
+    """Return the lengths (K,) of paths (L, 2 or 3) [m]."""
     return np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
 
 
 def make_plan(risk_map: RiskMap, trip: TripStrategy, options: PlanningOptions,
               begin: float | None = None) -> Plan:
-    """The plan that follows from strategies; planning began at ``begin`` (``time.monotonic``)."""
+    """Make a plan of strategies; planning began at ``begin`` (``time.monotonic``)."""
     plan = Plan(trip, (), options, node_spacing(risk_map, options.network), 0.0, risk_map)
     made = replace(plan, corridors=measured_corridors(plan))
     return replace(made, seconds=time.monotonic() - begin) if begin is not None else made
 
 
-def measured_corridors(plan: Plan, among: Sequence[IndexArray | None] = ()
+def measured_corridors(plan: Plan, nodes: Sequence[IndexArray | None] = ()
                        ) -> tuple[Corridors, ...]:
-    """The corridors of all routes, or of routes ``among`` some nodes (K,) of each leg."""
-    return tuple(_leg_corridors(leg, plan.own_map, plan.options, nodes)
-                 for leg, nodes in zip(plan.legs, among or [None] * len(plan.legs), strict=True))
+    """Measure the corridors of all routes, or only of those through ``nodes`` (K,) of each leg."""
+    return tuple(_leg_corridors(leg, plan.own_map, plan.options, leg_nodes)
+                 for leg, leg_nodes in zip(plan.legs, nodes or [None] * len(plan.legs),
+                                           strict=True))
 
 
-def corridors_of(plan: Plan, among: Sequence[IndexArray | None] = ()) -> tuple[Corridors, ...]:
-    """The corridors of a plan, measured now, as in ``measured_corridors``, if it has none."""
-    return plan.corridors or measured_corridors(plan, among)
+def corridors_of(plan: Plan, nodes: Sequence[IndexArray | None] = ()) -> tuple[Corridors, ...]:
+    """Return the corridors of a plan; measure them, as ``measured_corridors``, if it has none."""
+    return plan.corridors or measured_corridors(plan, nodes)
 
 
 def _leg_corridors(strategy: Strategy, risk_map: RiskMap, options: PlanningOptions,
-                   among: IndexArray | None) -> Corridors:
-    """The corridors of a leg's network; on roads, and without a reach, no corners are cut."""
+                   nodes: IndexArray | None) -> Corridors:
+    """Measure the corridors of a leg; on roads, and without a reach, no corners are cut."""
     spacing, game = node_spacing(risk_map, options.network), strategy.game
-    limit, most = tube(options, spacing), np.inf
+    limit, max_width = tube(options, spacing), np.inf
     reach = game.options.ambush_radius + game.options.tube
     if options.network.roads:
-        reach, most = 0.0, automatic_tube(options, spacing)
+        reach, max_width = 0.0, automatic_tube(options, spacing)
     elif game.options.ambush_radius == 0.0:
         reach = 0.0
     return make_corridors(strategy.network, risk_map, options.network.clearance, limit,
-                          options.network.clear_of_edge, most, reach,
-                          game.secured.shrunk(game.options.tube), among)
+                          options.network.clear_of_edge, max_width, reach,
+                          game.secured.shrink(game.options.tube), nodes)
 
 
 def draw_routes(plan: Plan, n: int, rng: np.random.Generator) -> list[Route]:
-    """Draw ``n`` departures: a route of each leg, drawn on its own."""
+    """Draw ``n`` departures: a route of each leg, independently."""
     return list(zip(*(leg.sample_routes(n, rng) for leg in plan.legs), strict=True))
 
 
 def departure_path(plan: Plan, route: Route, spacing: float, ends: Ends | None = None
                    ) -> FloatArray:
-    """Poses (L, 3) = (x, y, yaw) of the path along a route, at most ``spacing`` [m] apart.
+    """Return poses (L, 3) = (x, y, yaw) of the path along a route, at most ``spacing`` [m] apart.
 
-    ``ends`` are start and goal [m] if they differ from the route's. Each stop is met exactly, with
-    the yaw of the arrival; the convoy may turn on the spot there. Raises InvalidOption if there
-    would be more than ``MAX_POSES``.
+    ``ends`` are start and goal [m] if they differ from the route's. The path meets each stop
+    exactly, with the yaw of the arrival; the convoy may turn on the spot there. Raises
+    InvalidOption if there would be more than ``MAX_POSES``.
     """
     radius = plan.options.drive.turning_radius
     places = [*plan.ends_xy]
     if ends is not None:
         places[0], places[-1] = ends
     corridors = corridors_of(plan, route)
-    legs = [driven_path(each, nodes, spacing, radius, own) for each, nodes, own in zip(
+    legs = [driven_path(each, nodes, spacing, radius, leg_ends) for each, nodes, leg_ends in zip(
         corridors, route, pairwise(places), strict=True)]
-    return joined(legs)
+    return join_legs(legs)
 
 
 def departure_paths(plan: Plan, n: int, spacing: float,
@@ -343,7 +353,7 @@ def departure_paths(plan: Plan, n: int, spacing: float,
     if not n:
         return []
     by_leg = list(zip(*routes, strict=True))
-    corridors = corridors_of(plan, [np.concatenate(own) for own in by_leg])
-    legs = [driven_paths(each, list(own), spacing, radius)
-            for each, own in zip(corridors, by_leg, strict=True)]
-    return [joined(each) for each in zip(*legs, strict=True)]
+    corridors = corridors_of(plan, [np.concatenate(leg) for leg in by_leg])
+    legs = [driven_paths(each, list(leg), spacing, radius)
+            for each, leg in zip(corridors, by_leg, strict=True)]
+    return [join_legs(each) for each in zip(*legs, strict=True)]

@@ -25,7 +25,7 @@ MIN_PROBABILITY = 1e-6
 
 
 def route_columns(paths: Sequence[FloatArray], times: Sequence[datetime]) -> dict[str, Any]:
-    """``departure`` (from 1), ``length`` [m] and the ``time`` of drawing (ISO 8601) of paths."""
+    """Make the columns ``departure`` (from 1), ``length`` [m] and ``time`` (ISO 8601) of paths."""
     return {'departure': range(1, len(paths) + 1), 'length': path_lengths(paths),
             'time': [time.isoformat(timespec='seconds') for time in times]}
 
@@ -43,40 +43,35 @@ def line_table(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str
 def strategy_tables(trip: TripStrategy, risk_map: RiskMap) -> Mapping[str, Any]:
     """Return the tables ``edges``, ``sites``, ``places``, ``secured_area`` and ``forbidden``.
 
-    Edges have a ``probability``, on a trip with stops the expected uses by all legs; sites have the
-    ``probability`` q that the best ambusher waits there and the ``loss``; places are start, stops
-    and goal. Forbidden ground is the map's obstacles.
+    Edges have a ``probability``: on a trip with stops, the expected uses by all legs. Sites have
+    the ``probability`` q that the ambusher waits there, and the ``loss``. Places are start, stops
+    and goal; forbidden ground is the map's obstacles. Empty tables are left out.
     """
     import geopandas
     import shapely
+    from rasterio.features import shapes as polygons
 
     game = trip.game
-    secured, network, q = game.secured.shrunk(0.0), game.network, trip.ambusher.q
+    secured, network, q = game.secured.shrink(0.0), game.network, trip.ambusher.q
     edges, p = trip.ground_uses
     points, centres = network.points, secured.centres
     crs = Coordinates(risk_map.crs).crs if risk_map.crs else None
     used = np.flatnonzero(p > MIN_PROBABILITY)
-    waits = np.flatnonzero(q > MIN_PROBABILITY) if trip.value > 0.0 else np.zeros(0, int)
+    sites = np.flatnonzero(q > MIN_PROBABILITY) if trip.value > 0.0 else np.zeros(0, int)
     stops = [f'stop {k}' for k in range(1, len(trip.legs))]
     ends = points[[network.source, *(leg.network.target for leg in trip.legs)]]
+    cells = risk_map.obstacles[::-1].astype(np.uint8)
+    outlines = polygons(cells, cells == 1, transform=cell_transform(risk_map))
+    obstacles = [shapely.geometry.shape(outline) for outline, _ in outlines]
     tables = {
         'edges': ({'probability': p[used]}, shapely.linestrings(points[edges[used]])),
-        'sites': ({'probability': q[waits], 'loss': game.loss[waits]},
-                  shapely.points(points[waits])),
+        'sites': ({'probability': q[sites], 'loss': game.loss[sites]},
+                  shapely.points(points[sites])),
         'places': ({'name': ['start', *stops, 'goal']}, shapely.points(ends)),
         'secured_area': ({'radius': secured.radii},
                         shapely.buffer(shapely.points(centres), secured.radii, quad_segs=32)),
-        'forbidden': ({}, _obstacles(risk_map)),
+        'forbidden': ({}, obstacles),
     }
     return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes), crs=crs)
             for name, (columns, shapes) in tables.items() if len(shapes)}
 
-
-def _obstacles(risk_map: RiskMap) -> list[Any]:
-    """Polygons of the map's obstacle cells."""
-    from rasterio.features import shapes
-    from shapely.geometry import shape
-
-    cells = risk_map.obstacles[::-1].astype(np.uint8)
-    place = cell_transform(risk_map)
-    return [shape(outline) for outline, _ in shapes(cells, cells == 1, transform=place)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solve the game of a plan; with a reach, against an ambusher anywhere on the ground."""
+"""Solve the game of a plan; with a reach, against ambushes anywhere on the ground."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """The knowledge of another strategy or search: where the ambusher waits between nodes.
+    """Sites and value of an earlier solve, with which a new one starts.
 
-    ``places`` (K, 2) are sites without edges [m]; ``refined`` (K, 3) is that of the new network;
-    ``value`` is what the other network's strategy costs.
+    ``places`` (K, 2) are sites of its ambusher between the nodes [m]; ``value`` is its value.
+    ``refined`` (K, 3) belongs to the new network (``Network.refined``).
     """
 
     places: FloatArray
@@ -37,13 +37,13 @@ class WarmStart:
 
     @classmethod
     def of(cls, trip: TripStrategy, refined: FloatArray | None = None) -> WarmStart:
-        """Start from a strategy; by default its network's places are refined again."""
+        """Start from a strategy; by default with the refinement of its network."""
         network = trip.game.network
-        waits = trip.ambusher.q > 0.0
+        sites = trip.ambusher.q > 0.0
         for leg in trip.legs:
-            waits[leg.network.edges] = False
+            sites[leg.network.edges] = False
         refined = network.refined if refined is None else refined
-        return cls(network.points[waits], refined, trip.value)
+        return cls(network.points[sites], refined, trip.value)
 
     @classmethod
     def after(cls, search: Search, refined: FloatArray) -> WarmStart:
@@ -52,15 +52,16 @@ class WarmStart:
         added = added[added >= len(search.legs.loss)]
         return cls(search.points[added], refined, search.program.value)
 
-    def sites_beyond(self, network: Network) -> FloatArray:
-        """Positions (K, 2) of the places at which another network has no node [m]."""
-        away = cKDTree(network.points).query(self.places)[0] if len(self.places) else np.zeros(0)
-        return self.places[away > 0.0]
+    def new_places(self, network: Network) -> FloatArray:
+        """Return the places (K, 2) at which a network has no node [m]."""
+        distance = (cKDTree(network.points).query(self.places)[0] if len(self.places)
+                    else np.zeros(0))
+        return self.places[distance > 0.0]
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The map of a plan, and what an ambush costs at each of its cells."""
+    """Map and options of a plan, with the losses of ambushes at the map's cells."""
 
     risk_map: RiskMap
     options: PlanningOptions
@@ -68,62 +69,63 @@ class Ground:
 
     @classmethod
     def of(cls, risk_map: RiskMap, options: PlanningOptions) -> Ground:
-        """The ground of a plan with these options."""
+        """Make the ground of a plan with these options."""
         return cls(risk_map, options, CellLosses(risk_map, options.game.ambush_in_obstacles))
 
     def solve(self, networks: Sequence[Network], end: float,
               warm: WarmStart | None = None) -> TripStrategy:
         """Solve the game on the networks of a trip's legs by ``end`` (``time.monotonic``).
 
-        With a reach, an ambusher may wait anywhere on the ground (``holds_anywhere``): the places
-        that matter are added to the networks as nodes without edges. Raises the errors of
+        With a reach, an ambusher may wait anywhere on the ground (``holds_anywhere``): violated
+        sites are added to the networks as nodes without edges. Raises the errors of
         ``solve_legs``.
         """
         options = replace(self.options.strategy, time_limit=time_left(end))
-        games, site_search = self.played(networks, warm)
+        games, site_search = self.make_games(networks, warm)
         return solve_legs(games, options, site_search)
 
     def find_value(self, networks: Sequence[Network], end: float,
                    warm: WarmStart | None = None) -> Search:
-        """The first half of ``solve``, roughly: the value, and where the ambusher waits."""
+        """Run the first stages of ``solve``, to a rough precision: value and sites."""
         options = replace(self.options.strategy, time_limit=time_left(end))
-        games, site_search = self.played(networks, warm)
+        games, site_search = self.make_games(networks, warm)
         return find_value(make_problem(games, options, site_search,
                                        warm.value if warm else np.inf), rough=True)
 
     def compare(self, networks: Sequence[Network], end: float,
                 warm: WarmStart | None = None) -> TripStrategy:
-        """Strategies of nearly the least value, whatever their entropy: faster than ``solve``."""
+        """Find strategies of nearly the least value, of any entropy: faster than ``solve``."""
         return finish_flow(self.find_value(networks, end, warm))
 
     def finish(self, search: Search, end: float) -> TripStrategy:
-        """The second half of ``solve``."""
-        search.go_on_until(*search_ends(end, time_left(end)))
+        """Run the last stages of ``solve`` on a search by ``find_value``."""
+        search.move_deadlines(*search_ends(end, time_left(end)))
         tighten(search)
         return finish(search)
 
-    def played(self, networks: Sequence[Network], warm: WarmStart | None
-                ) -> tuple[tuple[Game, ...], CellSearch | None]:
-        """The games on the networks, and the search for sites between their nodes."""
-        played = solved_game(self.risk_map, self.options)
-        networks = add_hiding_places(networks, self.risk_map, self.options, played)
+    def make_games(self, networks: Sequence[Network], warm: WarmStart | None
+                   ) -> tuple[tuple[Game, ...], CellSearch | None]:
+        """Make the games on the networks, and the search for sites between their nodes."""
+        game = solved_game(self.risk_map, self.options)
+        networks = add_hiding_places(networks, self.risk_map, self.options, game)
         if warm:
-            places = warm.sites_beyond(networks[0])
-            networks = [with_places(each, places, self.cells.at(places)) for each in networks]
-        games = make_games(networks, played)
+            places = warm.new_places(networks[0])
+            losses = self.cells.losses_at(places)
+            networks = [with_places(each, places, losses) for each in networks]
+        games = make_games(networks, game)
         return games, CellSearch(self.cells, games) if holds_anywhere(self.options) else None
 
 
 def time_left(end: float) -> float:
-    """Time [s] until ``end`` (``time.monotonic``), or next to nothing."""
+    """Return the time until ``end`` (``time.monotonic``) [s], always positive."""
     return max(end - time.monotonic(), 1e-6)
 
 
 def add_hiding_places(networks: Sequence[Network], risk_map: RiskMap, options: PlanningOptions,
-                      played: GameOptions) -> list[Network]:
-    """Add the obstacle cells in which an ambusher can hide, if the ``played`` game has any."""
-    if not played.ambush_in_obstacles or played.reach == 0.0:
+                      game: GameOptions) -> list[Network]:
+    """Add the obstacle cells in which an ambusher can hide as nodes, if the game has any."""
+    if not game.ambush_in_obstacles or game.reach == 0.0:
         return list(networks)
     spacing = node_spacing(risk_map, options.network)
-    places, loss = hiding_places(networks, risk_map, played.reach, spacing)
+    places, loss = hiding_places(networks, risk_map, game.reach, spacing)
     return [with_places(each, places, loss) for each in networks]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of trips: a strategy for each leg, each drawn on its own, against one ambusher.
+"""Plans of trips: a strategy for each leg, drawn independently, against one ambusher.
 
-A plan is anytime: that of the plain network is finished first, and a finer network takes its place
-when its own plan is finished and costs less.
+Planning is anytime: the plan of the plain network is finished first, and that of a refined network
+replaces it only when it is finished as well and has a lower value.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from .solving import Ground, WarmStart
 # Share of the time limit after which no round of refinement begins, and share of the time left that
 # a round may take.
 REFINED_BY, ROUND = 0.4, 0.6
-# Share of the time limit that is left for the corridors of the first plan; those of another one are
-# given this multiple of their time, and at least the second time [s].
+# Share of the time limit reserved for the corridors of the first plan. For those of another plan, a
+# multiple of the time that these took is reserved, and at least a time [s].
 RESERVE, RESERVED, MIN_RESERVE = 0.1, 2.0, 0.1
-# Share of the time limit for a plan whose routes then become a mixture of a few.
+# Share of the time limit for a plan from which few routes are then chosen.
 PLANNED = 0.7
-# Stands for a time limit without an end [s], of which shares are taken.
+# Stands for an infinite time limit [s], so that shares of it can be taken.
 LONGEST = 1e9
 
 Position = tuple[float, float]
-# Is called with a plan when it is finished.
+# Called with each finished plan.
 Finished = Callable[[Plan], None]
 
 
 def ignore_plan(plan: Plan) -> None:
-    """Do nothing with a plan that is finished."""
+    """Ignore a finished plan."""
 
 
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
@@ -58,10 +58,10 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
               progress: Progress = no_progress) -> Plan:
     """Plan a trip from start to goal through stops.
 
-    The route of each leg is drawn on its own, within ``max_detour`` times its own shortest way. One
-    ambusher waits at one place for the whole trip, and hits every leg that passes: the value is the
-    largest sum of the legs' mean losses at a place. Nobody can wait at start, goal or a stop, nor
-    within ``secured_radius`` of them.
+    The route of each leg is drawn independently, within ``max_detour`` times the leg's shortest
+    way. One ambusher waits at one place for the whole trip, and hits every leg that passes: the
+    value is the largest mean loss at a place, summed over the legs. Nobody can wait at start, goal
+    or a stop, nor within ``secured_radius`` of them.
 
     Parameters
     ----------
@@ -70,23 +70,24 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     start_xy, goal_xy
         World positions [m]; a goal at the start's position makes a round trip.
     options
-        Network, game, strategy and how routes become paths.
+        Options of the network, the game, the strategy and the driven path.
     stops
         World positions [m], in the order in which they are visited.
     warm
         A similar strategy to start the search from.
     routes, rng
-        Departures draw from the best mixture found of at most that number of routes a leg:
-        ``Plan.few``. ``rng`` draws the candidates, or is a seed. The strategy then gets ``PLANNED``
-        of the time.
+        Departures are drawn from a mixture of at most this number of routes a leg (``Plan.few``).
+        ``rng``, a generator or a seed, draws the candidates. The strategy then gets ``PLANNED`` of
+        the time.
     progress
-        Is called with the phase in words, and the value of the plan that is finished, ``inf`` if
-        none is.
+        Called with the phase in words, and the value of the finished plan, ``inf`` if there is
+        none.
 
     Returns
     -------
     Plan
-        With ``value``, ``lower_bound`` and ``legs``, a strategy each; it draws ``paths(n)``.
+        With ``value``, ``lower_bound`` and a strategy for each of the ``legs``; ``paths(n)`` draws
+        routes.
 
     Raises
     ------
@@ -103,8 +104,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     Warns
     -----
     AmbushPlannerWarning
-        What limits the value: the gap of value and lower bound is larger than the risk slack, the
-        value is 0, or a single place hits every route. The texts are the command's.
+        The gap is larger than the risk slack, the value is 0, or a single place hits every route.
+        The command prints the same sentences.
 
     Examples
     --------
@@ -142,9 +143,9 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
                  options: PlanningOptions, stops: Sequence[npt.ArrayLike] = (),
                  warm: WarmStart | None = None, progress: Progress = no_progress,
                  share: float = 1.0, finished: Finished = ignore_plan) -> Plan:
-    """``plan_trip`` without its warnings, in a ``share`` of the time limit.
+    """Plan as ``plan_trip``, without its warnings, in a ``share`` of the time limit.
 
-    ``finished`` is called with each finished plan, which costs less than the one before.
+    ``finished`` is called with each finished plan; values fall.
     """
     if not isinstance(risk_map, RiskMap):
         raise InvalidRiskMap(f'plan_trip needs a RiskMap, got a {type(risk_map).__name__}; '
@@ -163,7 +164,7 @@ def plan_quietly(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayL
 
 def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin: float, end: float,
                   finished: Finished) -> Plan:
-    """The best plan that is finished by ``end`` (``time.monotonic``)."""
+    """Find the best plan that is finished by ``end`` (``time.monotonic``)."""
     options, reserve = trip.options, RESERVE * (end - begin) if end < np.inf else 0.0
     ground = Ground.of(trip.risk_map, options)
     progress('solving the game', np.inf)
@@ -191,7 +192,7 @@ def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin:
         reserve *= max(search.legs.games[0].node_count / best.trip.game.node_count, 1.0)
         with contextlib.suppress(AmbushPlannerError):  # then the best plan is the first one
             refined = ground.finish(search, end - reserve)
-            # Whatever gap the caller accepts, a proof is not given up.
+            # However wide a gap the caller accepts, a certified plan is not given up for one.
             usual = replace(options, max_gap=min(options.max_gap, PlanningOptions.max_gap))
             if refined.value < best.value and not _gap_is_open(refined, usual):
                 best = make_plan(trip.risk_map, refined, options, begin)
@@ -200,7 +201,7 @@ def _plan_in_time(trip: Trip, warm: WarmStart | None, progress: Progress, begin:
 
 
 def _within_max_gap(plan: Plan) -> Plan:
-    """The plan; raises TimeLimit if the time limit left a gap over ``max_gap``."""
+    """Return the plan; raise TimeLimit if the time limit left a gap over ``max_gap``."""
     if not _gap_is_open(plan.trip, plan.options):
         return plan
     gap = open_gap(plan.trip, plan.options.strategy)
@@ -211,13 +212,13 @@ def _within_max_gap(plan: Plan) -> Plan:
 
 
 def _gap_is_open(trip: TripStrategy, options: PlanningOptions) -> bool:
-    """Return whether the time limit left a wide gap."""
+    """Return whether the time limit left a gap over ``max_gap``."""
     return trip.reason == 'time' and gap_is_wide(trip, options)
 
 
 @dataclass(frozen=True)
 class Trip:
-    """A trip on a map with its stops."""
+    """A trip on a map, for which networks can be built."""
 
     risk_map: RiskMap
     start_xy: npt.ArrayLike
@@ -226,7 +227,7 @@ class Trip:
     options: PlanningOptions
 
     def networks(self, refined: FloatArray | None) -> tuple[Network, ...]:
-        """The networks of the legs with ``Network.refined`` (K, 3); None: the plain ones."""
+        """Build the networks of the legs with ``Network.refined`` (K, 3); None: plain ones."""
         return build_trip_graph(self.risk_map, self.start_xy, self.goal_xy, self.options.network,
                                 self.stops, grading(self.risk_map, self.options, refined)
                                 ).networks()

@@ -72,9 +72,9 @@ class Audit:
     value : float
         Mean value of the departures after the first.
     observer_losses : (n - 1,)
-        Losses at the departures after the first, caused by an observer who learns as he goes:
-        before each departure he waits where waiting would have cost the earlier ones most. Where
-        the time was drawn, he waits at the times that cover most departures.
+        Losses at the departures after the first, caused by an observer who learns from each: before
+        each departure, the observer waits at the place that would have cost the earlier ones most.
+        If the time was drawn, the observer waits at the times that cover most departures.
     observer_range : (float, float)
         5 % and 95 % quantiles of the mean of these losses for departures drawn honestly.
     """
@@ -95,7 +95,7 @@ class Audit:
 
     @property
     def observer_loss(self) -> float:
-        """Mean loss that an observer who learns as he goes would have caused."""
+        """Mean loss that an observer who learns from each departure would have caused."""
         return float(self.observer_losses.mean())
 
 

@@ -19,7 +19,7 @@ import scipy
 
 from ..arrays import Position
 from ..errors import AmbushPlannerError
-from ..gone import check_none_gone
+from ..gone import RENAMED, check_none_gone
 from ..operations.slots import Slots
 from ..parameters.table import PARAMETERS
 from ..planning.plan import Route
@@ -27,7 +27,7 @@ from .sources import Source
 
 # Options that the node has no parameter for.
 BEYOND: Mapping[str, Any] = {
-    'game.held_places': tuple[tuple[float, float, float], ...],
+    'game.secured_places': tuple[tuple[float, float, float], ...],
     'network.seed': int}
 _INTEGERS, _SOURCE = 2**63, 'route_entropy_source'
 # Parameters that went and say nothing of a departure of one leg.
@@ -260,6 +260,7 @@ def typed_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises InvalidEntry if one is missing or has another type, and InvalidOption if one went.
     """
+    values = {RENAMED.get(name, name): value for name, value in values.items()}
     check_none_gone({name: value for name, value in values.items() if name not in _UNRELATED})
     kinds: dict[str, Any] = {
         name: list[str] if isinstance(each.default, list) else type(each.default)

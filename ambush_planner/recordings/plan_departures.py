@@ -65,7 +65,7 @@ def draw_departure(saved: SavedPlan, slot: str = '', source: int | None = None) 
     assert drawn is not None  # all routes are clear on the plan's own map
     slot_drawn = not slot and saved.slots is not None
     if saved.slots and not slot:
-        slot = saved.slots.drawn(drawn.rng)
+        slot = saved.slots.draw(drawn.rng)
     return DrawnDeparture(source, drawn.route, drawn.poses, slot, slot_drawn)
 
 

@@ -102,7 +102,7 @@ class RecordedDeparture:
 
     @property
     def covered(self) -> float:
-        """The largest share of departures that an ambush at one time covers; 1 if he knows it."""
+        """Largest share of departures that an ambush at one time covers; 1 without slots."""
         return self.drawn_slot[1].covered if self.drawn_slot else 1.0
 
     @property

@@ -12,7 +12,7 @@ from ..game.strategy import TripStrategy
 from ..maps.risk_map import RiskMap
 from ..operations.slots import Slots
 from ..planning.ambush_costs import BestAmbush, best_ambush
-from ..planning.evaluation import Measures, compared
+from ..planning.evaluation import Measures, compare_with_fixed
 from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
@@ -49,7 +49,7 @@ class Section:
     def measures(self) -> dict[str, Measures]:
         """The departures' strategy, at the times that are drawn, and planners of a fixed route."""
         last = self.departures[-1]
-        rows = compared(self.trip, self.trip)
+        rows = compare_with_fixed(self.trip, self.trip)
         drawn = rows['stochastic']
         return rows | {'stochastic': replace(
             drawn, p_first=drawn.p_first * last.covered, p_repeated=drawn.p_repeated * last.covered,

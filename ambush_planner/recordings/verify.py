@@ -206,7 +206,7 @@ def _slot_problems(said: Metadata, rng: np.random.Generator) -> list[str]:
     if not (said.day and said.day.slot_drawn):
         return []
     slots = said.plan.slots if said.plan else None
-    if slots and said.day.slot == slots.drawn(rng):
+    if slots and said.day.slot == slots.draw(rng):
         return []
     return ['slot: the recorded entropy draws another one']
 
@@ -221,7 +221,7 @@ def network_problems(trip: TripStrategy, risk_map: RiskMap, planning: PlanningOp
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
     if holds_anywhere(planning):
         sites = recorded[0].points[len(networks[0].points):]
-        networks = [with_places(each, sites, cells.at(sites)) for each in networks]
+        networks = [with_places(each, sites, cells.losses_at(sites)) for each in networks]
     if len(networks) != len(recorded) or not all(
         np.array_equal(getattr(one, name), getattr(other, name))
         for one, other in zip(recorded, networks, strict=True)

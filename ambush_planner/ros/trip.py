@@ -15,7 +15,7 @@ from ..arrays import FloatArray, Position
 from ..parameters.values import NodeParameters
 from ..planning.clear_ground import ClearGround
 from ..planning.moved_start import REGION
-from ..planning.options import strays
+from ..planning.options import max_deviation
 from ..planning.trip_under_way import Destination
 from ..recordings.cdr import poses_along
 from .conversions import SentPath, row_of
@@ -158,5 +158,5 @@ def match(planned: Trip, trip: Trip, spacing: float, tolerance: float) -> Match:
     if away <= tolerance:
         return Match.NEAR
     planning = planned.parameters.planning
-    region = strays(planning, spacing) if planning.network.roads else REGION * spacing
+    region = max_deviation(planning, spacing) if planning.network.roads else REGION * spacing
     return Match.JOINED if trip.robot and same_goal and away <= region else Match.NONE

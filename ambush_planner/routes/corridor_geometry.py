@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free space on both sides of edges and beyond their ends: geometry for ``corridors``, in map axes.
+"""Free space along edges and beyond their ends, in map axes: geometry for ``corridors``.
 
 Other nodes, obstacles and the map's edge limit it. See ``corridors`` for strips and quarters.
 """
@@ -20,9 +20,9 @@ NODE_SHARE = 0.95
 OBSTACLE_MARGIN = 1e-5
 # Number of nodes examined around an edge; space beyond the furthest of them is not used.
 NEAREST = 12
-# How far chords at corners may be from the corner's edges [reaches]; 0.29 for a right angle.
+# Largest distance of chords from the edges of their corner [reaches]; 0.29 for a right angle.
 STRIP_SHARE = 0.3
-# Side of the squares in which obstacle cells are looked for [cells].
+# Side of the squares in which obstacle cells are searched [cells].
 _SQUARE = 64
 # Corners of a unit cell around 0, in order.
 CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
@@ -30,10 +30,10 @@ CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 
 @dataclass(frozen=True, eq=False)
 class CorridorWidths:
-    """Size of the corridors along P pairs of nodes [m].
+    """Sizes of the corridors along P pairs of nodes [m].
 
-    ``widths`` (P, 2) are those of the left and right strips, ``radii`` (P, 2, 2) the radii of the
-    left and right quarters beyond start and end.
+    ``widths`` (P, 2) are those of the left and right strips, ``radii`` (P, 2, 2) those of the left
+    and right quarters beyond start and end.
     """
 
     widths: FloatArray
@@ -42,9 +42,9 @@ class CorridorWidths:
 
 def largest_widths(uv: FloatArray, pairs: IndexArray, tube: float,
                    reach: float) -> CorridorWidths:
-    """Widths up to the ``tube`` [m] from routes with cut corners, whose chords may leave them.
+    """Widths for paths within the ``tube`` [m] of routes with cut corners, chords included.
 
-    If the tube is inf: up to the nearest other nodes.
+    If the tube is inf, they extend to the nearest other nodes.
     """
     if tube == np.inf:
         return widths_between_nodes(uv, pairs)
@@ -58,12 +58,12 @@ def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:
     """Widths at which strips and quarters contain no other node, at most the edge's length."""
     start, direction, length = _frame(uv, pairs)
     count = min(NEAREST, len(uv))
-    far, near = cKDTree(uv).query(uv[pairs].mean(axis=1), k=count)
+    distance, nearest = cKDTree(uv).query(uv[pairs].mean(axis=1), k=count)
     # There may be other nodes beyond the furthest one examined.
-    known = far[:, -1] if count < len(uv) else np.full(len(pairs), np.inf)
-    progress, lateral = _local_coordinates(uv[near] - start[:, None], direction[:, None])
+    known = distance[:, -1] if count < len(uv) else np.full(len(pairs), np.inf)
+    progress, lateral = _local_coordinates(uv[nearest] - start[:, None], direction[:, None])
     tiny = 1e-9 * length[:, None]
-    other = (near != pairs[:, :1]) & (near != pairs[:, 1:])
+    other = (nearest != pairs[:, :1]) & (nearest != pairs[:, 1:])
     alongside = other & (progress > -tiny) & (progress < length[:, None] + tiny)
     widths, radii = np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 2))
     for side, offset in ((0, lateral), (1, -lateral)):
@@ -85,8 +85,8 @@ def limit_to_map(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, r
     strips, quarters = _map_edge_limits(uv, pairs, np.array(risk_map.size), margin)
     inside = CorridorWidths(np.minimum(corridors.widths, strips),
                             np.minimum(corridors.radii, quarters))
-    far = _frame(uv, pairs)[2] + inside.widths.max(axis=1) + clearance + 2.0 * resolution
-    cells = rim_cells(risk_map, uv[np.unique(pairs)], float(far.max(initial=0.0)))
+    reach = _frame(uv, pairs)[2] + inside.widths.max(axis=1) + clearance + 2.0 * resolution
+    cells = rim_cells(risk_map, uv[np.unique(pairs)], float(reach.max(initial=0.0)))
     return limit_to_cells(inside, uv, pairs, cells, clearance, resolution)
 
 
@@ -105,15 +105,15 @@ def limit_to_cells(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray,
 
 
 def open_ground(uv: FloatArray, risk_map: RiskMap, clearance: float, clear_of_edge: bool,
-                most: float) -> FloatArray:
-    """Radii (N,) around places that keep the clearance from obstacles and, if asked, the edge.
+                limit: float) -> FloatArray:
+    """Radii (N,) around places, up to ``limit`` [m], that keep the clearance from obstacles.
 
-    They are at most ``most`` [m].
+    With ``clear_of_edge``, also from the map's edge.
     """
     to_edge = np.minimum(uv, np.array(risk_map.size) - uv).min(axis=1)
-    cells = rim_cells(risk_map, uv, most + clearance + risk_map.resolution)
-    far = np.minimum(clear_of_cells(uv, cells, clearance, risk_map.resolution), most)
-    return np.minimum(far, to_edge - (clearance if clear_of_edge else 0.0))
+    cells = rim_cells(risk_map, uv, limit + clearance + risk_map.resolution)
+    free = np.minimum(clear_of_cells(uv, cells, clearance, risk_map.resolution), limit)
+    return np.minimum(free, to_edge - (clearance if clear_of_edge else 0.0))
 
 
 def clear_of_cells(uv: FloatArray, centres: FloatArray, clearance: float,
@@ -140,9 +140,9 @@ def _local_coordinates(vector: FloatArray, direction: FloatArray) -> tuple[Float
 
 
 def rim_cells(risk_map: RiskMap, uv: FloatArray, reach: float) -> FloatArray:
-    """Centres (C, 2) in map axes of the obstacle cells that touch free ground near places (K, 2).
+    """Centres (C, 2) in map axes of obstacle cells that touch free ground.
 
-    They are all those within ``reach`` [m] of a place, and some others.
+    They are all those within ``reach`` [m] of a place (K, 2), and some others.
     """
     obstacles, step = risk_map.obstacles, risk_map.resolution
     rows, columns = obstacles.shape
@@ -150,14 +150,14 @@ def rim_cells(risk_map: RiskMap, uv: FloatArray, reach: float) -> FloatArray:
     squares = (np.stack(np.meshgrid(left, low), axis=-1) + 0.5 * _SQUARE) * step
     near = cKDTree(uv).query(squares)[0] <= reach + _SQUARE * step
     found = [np.empty((0, 2), dtype=np.int64)]
-    for row, some in zip(low.tolist(), near, strict=True):
-        if some.any():
+    for row, selected in zip(low.tolist(), near, strict=True):
+        if selected.any():
             # Beyond the map's edge nothing is free.
-            each = obstacles[np.clip(np.arange(row - 1, row + _SQUARE + 1), 0, rows - 1)]
-            each, inner = each[1:-1][:rows - row], (each[:-2] & each[2:])[:rows - row]
-            inner[:, 1:] &= each[:, :-1]
-            inner[:, :-1] &= each[:, 1:]
-            rim = each & ~inner & np.repeat(some, _SQUARE)[:columns]
+            band = obstacles[np.clip(np.arange(row - 1, row + _SQUARE + 1), 0, rows - 1)]
+            band, inner = band[1:-1][:rows - row], (band[:-2] & band[2:])[:rows - row]
+            inner[:, 1:] &= band[:, :-1]
+            inner[:, :-1] &= band[:, 1:]
+            rim = band & ~inner & np.repeat(selected, _SQUARE)[:columns]
             found.append(np.argwhere(rim) + (row, 0))
     return np.asarray((np.concatenate(found)[:, ::-1] + 0.5) * step, dtype=np.float64)
 
@@ -181,12 +181,12 @@ class _CellIndex:
         if self._tree is None:
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
         found = self._tree.query_ball_point(places, radius, return_sorted=False)
-        count = np.array([len(some) for some in found], dtype=np.int64)
+        count = np.array(list(map(len, found)), dtype=np.int64)
         index = np.concatenate([*found, []]).astype(np.int64)
-        whose, k = members(count[owner])
-        cell = index[(np.cumsum(count) - count)[owner][whose] + k]
+        pair, k = members(count[owner])
+        cell = index[(np.cumsum(count) - count)[owner][pair] + k]
         corners = self._centres[cell][:, None] + self._corners
-        return whose, corners - places[owner][whose][:, None]
+        return pair, corners - places[owner][pair][:, None]
 
 
 def _strip_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, widths: FloatArray,
@@ -233,8 +233,8 @@ def _quadrant_distance(progress: FloatArray, lateral: FloatArray, margin: float)
     forward, sideward = (np.roll(offset, -1, axis=1) - offset for offset in (progress, lateral))
     foot = -(progress * forward + lateral * sideward) / (forward**2 + sideward**2)
     share = np.clip(foot, first, np.maximum(first, last))
-    far = np.hypot(progress + share * forward, lateral + share * sideward)
-    nearest: FloatArray = np.where(first <= last, far, np.inf).min(axis=1)
+    distance = np.hypot(progress + share * forward, lateral + share * sideward)
+    nearest: FloatArray = np.where(first <= last, distance, np.inf).min(axis=1)
     return nearest
 
 
@@ -277,5 +277,5 @@ def _map_edge_limits(uv: FloatArray, pairs: IndexArray, size: FloatArray,
 def _distance_until_used(gap: FloatArray, speed: FloatArray) -> FloatArray:
     """Distance (P,) at which a gap (P, 2) is used up at a rate (P, 2) along its axis."""
     with np.errstate(divide='ignore', invalid='ignore'):
-        far: FloatArray = np.where(speed > 0.0, gap / speed, np.inf).min(axis=1)
-    return far
+        distance: FloatArray = np.where(speed > 0.0, gap / speed, np.inf).min(axis=1)
+    return distance

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Corridors: how far the driven path may leave the drawn route.
+"""Corridors: the space around a drawn route that the driven path may use.
 
-Along each edge lie two *strips*, rectangles of its length and of the ``widths`` left and right.
-Where a route turns, its strips separate on the outer side; the wedge between them is
-filled by *quarters* of discs around the node, between the end of a strip and the extension of the
-edge. Strips and quarters keep the clearance from obstacles, and either
+Along each edge lie two *strips*, rectangles of its length and of the ``widths`` left and right. At
+a turn of the route, its strips separate on the outer side; *quarters* of discs around the node fill
+the wedge between the end of a strip and the extension of the edge. Strips and quarters keep the
+clearance from obstacles, and either
 
-* contain no other node (``tube`` None): a path within a route's corridor passes no node but the
-  route's own, so the game on the network is the game that is driven. A path may even skip nodes of
-  its route, also by *shortcuts*, which are not edges of the network; or
+* contain no other node (without a tube): a path within a route's corridor passes no node but the
+  route's own, so the game on the network is the game that is driven. A path may skip nodes of its
+  route, also by *shortcuts*, which are not edges of the network; or
 * contain no point further than ``tube`` from the edge or node: an ambush with reach r that hits the
   driven path would hit the drawn route with reach r + tube. Routes whose corners are cut
-  (``cut_corners``) have strips and quarters along the chords too.
+  (``cut_corners``) also have strips and quarters along the chords.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from .corridor_geometry import (
     widths_between_nodes,
 )
 
-# Cosine of the smallest turn that a shortcut may skip.
+# Cosine of the least turn that a shortcut may skip.
 SHORTCUT_COSINE = 0.5
 # Minimum distance of a shortcut from other nodes [shortcut lengths].
 SHORTCUT_MARGIN = 0.01
@@ -45,7 +45,7 @@ NOTHING_SECURED = SecuredArea(np.empty((0, 2)), np.empty(0))
 
 @dataclass(frozen=True, eq=False)
 class Corridors:
-    """Strips and quarters of a network in map axes.
+    """Strips and quarters along the links of a network, in map axes.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Corridors:
     uv : (N, 2) float
         The network's nodes in map axes [m].
     links : (L, 2) int
-        Tails and heads of the edges, and of shortcuts without a tube; in both directions, sorted.
+        Tails and heads of the edges and, without a tube, of shortcuts; in both directions, sorted.
     widths : (L, 2) float
         Widths of each link's left and right strips [m].
     radii : (L, 2, 2) float
@@ -64,15 +64,15 @@ class Corridors:
     shortcut : (L,) bool
         Links on which a path may skip nodes of its route; without a tube, initially all.
     tube
-        Largest distance from the drawn route with its corners cut [m]; inf: the widths limit it.
-        Widths are larger where chords at corners may need it.
+        Largest distance from the drawn route with its corners cut [m]; inf: no tube, only the
+        widths limit it. Widths are larger if chords at corners may need it.
     reach
         Distance within which ambushes hit drawn routes [m]; 0: no corners are cut.
     secured
         Discs in map axes; parts of drawn routes in them are not hit.
     open_ground : (N,) float
-        Radius around each place that is free of obstacles, as far as corners are cut [m]; at most
-        the truth.
+        Lower bound of the radius around each node that is free of obstacles [m]; 0 if no corners
+        are cut.
     """
 
     network: Network
@@ -92,11 +92,11 @@ class Corridors:
         return link_keys(self.links, len(self.uv))
 
     def links_along(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
-        """Indices (K,) of the links from tails (K,) to heads (K,); -1: there is none."""
+        """Return the indices (K,) of the links from ``tails`` (K,) to ``heads`` (K,); -1: none."""
         return found_in_sorted(self._keys, tails * len(self.uv) + heads)
 
-    def shortened(self, route: IndexArray) -> IndexArray:
-        """Skip nodes of a route (K,) by the shortest way along links between them.
+    def shorten(self, route: IndexArray) -> IndexArray:
+        """Skip nodes of a route (K,): return the shortest way along links between its nodes.
 
         It adds no nodes, so no ambush at a node hits it more often. With a tube the route is
         returned unchanged.
@@ -112,37 +112,37 @@ class Corridors:
         forward = (heads == step + 1) | ((heads > step) & self.shortcut[link])
         step, heads = step[forward], heads[forward]
         steps = np.hypot(*(self.uv[route[heads]] - self.uv[route[step]]).T)
-        length, before = [np.inf] * len(route), [0] * len(route)
+        length, predecessor = [np.inf] * len(route), [0] * len(route)
         length[0] = 0.0
-        for tail, head, gone in zip(step.tolist(), heads.tolist(), steps.tolist(), strict=True):
-            if length[tail] + gone < length[head]:
-                length[head], before[head] = length[tail] + gone, tail
+        for tail, head, added in zip(step.tolist(), heads.tolist(), steps.tolist(), strict=True):
+            if length[tail] + added < length[head]:
+                length[head], predecessor[head] = length[tail] + added, tail
         nodes = [len(route) - 1]
         while nodes[-1]:
-            nodes.append(before[nodes[-1]])
+            nodes.append(predecessor[nodes[-1]])
         return route[nodes[::-1]]
 
 
 def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
                    tube: float | None = None, clear_of_edge: bool = True,
-                   most: float = np.inf, reach: float = 0.0,
+                   max_width: float = np.inf, reach: float = 0.0,
                    secured: SecuredArea = NOTHING_SECURED,
-                   among: IndexArray | None = None) -> Corridors:
+                   nodes: IndexArray | None = None) -> Corridors:
     """Measure the strips and quarters of a network on its map.
 
     Parameters
     ----------
     clearance, clear_of_edge
-        As the network was built with.
+        As for ``NetworkOptions``.
     tube
         Largest distance from the drawn route [m]; None: up to the nearest other nodes.
-    most
+    max_width
         Largest distance from the drawn route if there is no tube [m]; inf: paths take shortcuts.
     reach, secured
         With a tube: the distance within which ambushes hit drawn routes [m], tube included, and the
-        discs in which they do not. Corners are cut where no ambush gains by it.
-    among
-        Only between these nodes (K,), for routes that use no others; None: all.
+        discs in which they do not. Corners are cut if no ambush gains by it.
+    nodes
+        Measure only between these nodes (K,), for routes that use no others; None: all.
 
     Raises InvalidOption if the tube is negative or not finite.
     """
@@ -153,10 +153,10 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     uv = risk_map.to_map_axes(network.points)
     edges = np.unique(np.sort(network.edges, axis=1), axis=0)
     secured = secured_in_map_axes(secured, risk_map.origin)
-    nodes = np.arange(len(uv)) if among is None else np.unique(among)
+    nodes = np.arange(len(uv)) if nodes is None else np.unique(nodes)
     included = np.zeros(len(uv), dtype=bool)
     included[nodes] = True
-    shortcuts = tube == most == np.inf
+    shortcuts = tube == max_width == np.inf
     if shortcuts:
         field = ObstacleField(risk_map, clear_of_edge)
         pairs, measured = _with_shortcuts(uv, edges, included, field, clearance)
@@ -164,8 +164,8 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         edges = edges[included[edges].all(axis=1)]
         pairs, measured = edges, largest_widths(uv, edges, tube, reach)
         if tube == np.inf:
-            measured = CorridorWidths(np.minimum(measured.widths, most),
-                                      np.minimum(measured.radii, most))
+            measured = CorridorWidths(np.minimum(measured.widths, max_width),
+                                      np.minimum(measured.radii, max_width))
     measured = limit_to_map(measured, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
     order = np.lexsort((links[:, 1], links[:, 0]))
@@ -173,35 +173,33 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     widths = np.concatenate((measured.widths, measured.widths[:, ::-1]))[order]
     radii = np.concatenate((measured.radii, measured.radii[:, ::-1, ::-1]))[order]
     links = links[order]
-    still = np.zeros(len(uv))
+    free = np.zeros(len(uv))
     if reach > 0.0:
-        still[nodes] = open_ground(uv[nodes], risk_map, clearance, clear_of_edge,
-                                   reach + 2.0 * tube)
+        free[nodes] = open_ground(uv[nodes], risk_map, clearance, clear_of_edge,
+                                  reach + 2.0 * tube)
     return Corridors(network, risk_map.origin, uv, links, widths, radii,
-                     np.full(len(links), shortcuts), tube, reach, secured, still)
+                     np.full(len(links), shortcuts), tube, reach, secured, free)
 
 
 def secured_in_map_axes(secured: SecuredArea, origin: tuple[float, float, float]) -> SecuredArea:
-    """The same discs in map axes."""
+    """Return the secured area in map axes."""
     return secured._replace(centres=to_map_axes(origin, secured.centres))
 
 
 def link_keys(links: IndexArray, count: int) -> IndexArray:
-    """Numbers (L,) that order links (L, 2) by tail and head."""
+    """Return numbers (L,) that order links (L, 2) by tail and head."""
     keys: IndexArray = links[:, 0] * count + links[:, 1]
     return keys
 
 
 def _with_shortcuts(uv: FloatArray, edges: IndexArray, included: BoolArray, field: ObstacleField,
                     clearance: float) -> tuple[IndexArray, CorridorWidths]:
-    """Edges and the shortcuts that keep clear of obstacles and of all other nodes.
-
-    Both only between the nodes that are ``included`` (N,).
-    """
-    more = _shortcuts(uv, edges)
-    edges, more = (each[included[each].all(axis=1)] for each in (edges, more))
-    more = more[field.clear_segments(uv[more[:, 0]], uv[more[:, 1]], clearance)]
-    pairs = np.concatenate((edges, more))
+    """Edges between ``included`` nodes (N,), and shortcuts clear of obstacles and other nodes."""
+    shortcuts = _shortcuts(uv, edges)
+    edges, shortcuts = (each[included[each].all(axis=1)] for each in (edges, shortcuts))
+    tails, heads = uv[shortcuts.T]
+    shortcuts = shortcuts[field.clear_segments(tails, heads, clearance)]
+    pairs = np.concatenate((edges, shortcuts))
     measured = widths_between_nodes(uv, pairs)
     length = np.hypot(*(uv[pairs[:, 1]] - uv[pairs[:, 0]]).T)
     wide = measured.widths.min(axis=1) > SHORTCUT_MARGIN * length
@@ -216,8 +214,8 @@ def _shortcuts(uv: FloatArray, edges: IndexArray) -> IndexArray:
     found = [joined[:0]]
     for k in range(1, int(np.bincount(middle).max(initial=0))):
         same = np.flatnonzero(middle[k:] == middle[:-k])
-        ends, between = np.stack((other[same], other[same + k]), axis=1), uv[middle[same]]
-        a, b = uv[ends[:, 0]] - between, uv[ends[:, 1]] - between
+        ends, centre = np.stack((other[same], other[same + k]), axis=1), uv[middle[same]]
+        a, b = uv[ends[:, 0]] - centre, uv[ends[:, 1]] - centre
         sharp = (a * b).sum(axis=1) > -SHORTCUT_COSINE * np.hypot(*a.T) * np.hypot(*b.T)
         found.append(link_keys(ends[sharp], len(uv)))
     new = np.setdiff1d(np.concatenate(found), joined)

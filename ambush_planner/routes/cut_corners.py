@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines in the middle of corridors: drawn routes with their corners cut as far as is free.
+"""Centre lines of corridors: drawn routes with their corners cut as far as no ambush gains by it.
 
-A chord between the two edges at a corner can be driven instead of the corner if every place within
-the reach R of the chord is within R of the edges: then no ambush with this reach hits the chord and
-not the route (docs/theory.md, Proposition 9.2). The secured area protects by where the convoy is,
-so a corner is only cut if the edges around it are, as far as they count, either outside or inside.
+A chord between the two edges at a corner can replace the corner if every place within the reach R
+of the chord is also within R of the edges: then no ambush with this reach hits the chord but not
+the route (docs/theory.md, Proposition 9.2). The secured area protects by the convoy's place, so a
+corner is only cut if the relevant parts of its edges are all inside or all outside.
 
-Before, nodes that are near each other are joined by straight lines where the ground is open: what
-meets such a line from within a little less than the reach meets an end of it (Proposition 9.3).
+First, nodes that are close to each other are skipped by straight lines over open ground: an ambush
+that hits such a line with a slightly smaller reach hits an end of it (Proposition 9.3).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..game.discs import SecuredArea
 from .corridors import Corridors
 
-# Maximum length of lines that skip nodes [ambush reaches, without the tube].
+# Maximum length of lines that skip nodes, as a share of the reach without the tube.
 SKIP = 0.4
 # Least share of an edge between its two cuts, if these do not meet.
 CHORD_GAP = 0.25
@@ -33,13 +33,13 @@ TINY = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class CutRoutes:
-    """The lines of routes, concatenated [m].
+    """Lines of routes, concatenated [m].
 
     Line i has the ``points`` (K, 2) from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,). Segments
-    (K - 1,) from each point to the next have a ``length``, a ``unit`` vector, and the ``widths``
-    (K - 1, 2) of their left and right strips; not ``joined`` ones lead from a line to the next.
-    ``room`` (K - 1, 2) is how much wider the strips are free of obstacles, and ``quarters`` (K, 2)
-    are the radii of the left and right quarters at the points.
+    (K - 1,) lead from each point to the next; ``joined`` is false from one line to the next.
+    Segments have a ``length``, a ``unit`` vector, and the ``widths`` (K - 1, 2) of their left and
+    right strips; ``room`` (K - 1, 2) is the space beyond these that is free of obstacles.
+    ``quarters`` (K, 2) are the radii of the left and right quarters at the points.
     """
 
     points: FloatArray
@@ -54,12 +54,13 @@ class CutRoutes:
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """The inner nodes (C, 2) of concatenated routes as corners.
+    """Corners at the inner nodes (C, 2) of concatenated routes.
 
-    ``unit`` (C, 2, 2) are the directions of the edges before and after, and ``edge`` (C, 2) their
-    lengths; ``inner`` and ``outer`` (C, 2) the free widths of their strips on the inner and on the
-    outer side of the turn, the latter at most the tube; ``quarter`` (C,) is on the outer side.
-    ``sine`` and ``cosine`` (C,) are those of half the turn.
+    ``unit`` (C, 2, 2) are the directions of the edges before and after the corner, ``edge`` (C, 2)
+    their lengths, ``inner`` and ``outer`` (C, 2) the free widths of their strips on the inner and
+    outer side of the turn, the latter at most the tube. ``left`` (C,) marks turns to the left;
+    ``quarter`` (C,) is the radius on the outer side; ``sine`` and ``cosine`` (C,) are those of half
+    the turn.
     """
 
     nodes: FloatArray
@@ -74,9 +75,9 @@ class _Corners:
 
 
 def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
-    """The lines of the routes (K,)."""
+    """Cut the corners of routes (K,)."""
     if corridors.reach > 0.0:
-        routes = [_skipping(corridors, route) for route in routes]
+        routes = [_skip_nodes(corridors, route) for route in routes]
     bounds = np.cumsum([0, *map(len, routes)])
     route = np.concatenate(routes)
     nodes = corridors.uv[route]
@@ -106,26 +107,26 @@ def cut_routes(corridors: Corridors, routes: list[IndexArray]) -> CutRoutes:
         np.where(left, quarters[1:-1, 1], quarters[1:-1, 0]),
         half, np.sqrt(np.maximum(1.0 - half**2, 0.0)))
     tube = np.minimum(tubes[:-1], tubes[1:])
-    most = _cuts(corners, corridors.reach - corridors.tube + tube, corridors.secured)
-    most[~(joined[:-1] & joined[1:])] = 0.0
-    return _with_chords(whole, corners, *_shared(most, length), tube)
+    max_cut = _max_cuts(corners, corridors.reach - corridors.tube + tube, corridors.secured)
+    max_cut[~(joined[:-1] & joined[1:])] = 0.0
+    return _with_chords(whole, corners, *_divide_edges(max_cut, length), tube)
 
 
-def _skipping(corridors: Corridors, route: IndexArray) -> IndexArray:
-    """The route without nodes that straight lines can skip."""
-    most = SKIP * (corridors.reach - corridors.tube)
-    uv, at = corridors.uv[route], corridors.open_ground[route]
+def _skip_nodes(corridors: Corridors, route: IndexArray) -> IndexArray:
+    """Drop the nodes of a route that straight lines can skip."""
+    max_length = SKIP * (corridors.reach - corridors.tube)
+    uv, open_ground = corridors.uv[route], corridors.open_ground[route]
     inside = [np.hypot(*(uv - centre).T) < radius
               for centre, radius in zip(*corridors.secured, strict=True)]
     side = np.array(inside).T.tolist() if inside else [[]] * len(route)
-    points, wide = uv.tolist(), (at - corridors.tube).tolist()
+    points, room = uv.tolist(), (open_ground - corridors.tube).tolist()
     nodes, last = [0], len(route) - 1
     while nodes[-1] < last:
         k = nodes[-1]
         next_node = k + 1
         while next_node < last and side[next_node + 1] == side[k]:
-            far = math.dist(points[k], points[next_node + 1])
-            if far > most or far > max(wide[k], wide[next_node + 1]):
+            distance = math.dist(points[k], points[next_node + 1])
+            if distance > max_length or distance > max(room[k], room[next_node + 1]):
                 break
             next_node += 1
         nodes.append(next_node)
@@ -133,10 +134,10 @@ def _skipping(corridors: Corridors, route: IndexArray) -> IndexArray:
 
 
 def skipping_tube(corridors: Corridors, length: FloatArray) -> FloatArray:
-    """Return the greatest distance of paths from lines of a length (K,) that skip nodes [m]."""
-    most = corridors.reach - corridors.tube
+    """Return the largest distance of paths from lines of a length (K,) that skip nodes [m]."""
+    ambush_radius = corridors.reach - corridors.tube
     half = np.minimum(length / 2, corridors.reach)
-    tubes: FloatArray = np.maximum(np.sqrt(corridors.reach**2 - half**2) - most, 0.0)
+    tubes: FloatArray = np.maximum(np.sqrt(corridors.reach**2 - half**2) - ambush_radius, 0.0)
     return tubes
 
 
@@ -152,8 +153,8 @@ def _side(widths: FloatArray, left: BoolArray) -> FloatArray:
     return np.where(left[:, None], pairs[:, :, 0], pairs[:, :, 1])
 
 
-def _cuts(corners: _Corners, reach: FloatArray, secured: SecuredArea) -> FloatArray:
-    """Return the greatest distance of chords from each corner (C,), along its edges [m]."""
+def _max_cuts(corners: _Corners, reach: FloatArray, secured: SecuredArea) -> FloatArray:
+    """Largest distance of chords from each corner (C,), along its edges [m]."""
     sine, cosine = corners.sine, corners.cosine
     depth = free_depth(corners.nodes, corners.edge.min(axis=1), sine, cosine, reach, secured)
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -164,11 +165,11 @@ def _cuts(corners: _Corners, reach: FloatArray, secured: SecuredArea) -> FloatAr
 
 def free_depth(corners: FloatArray, short: FloatArray, sine: FloatArray, cosine: FloatArray,
                reach: FloatArray | float, secured: SecuredArea) -> FloatArray:
-    """Return the most by which lines may cut corners (C, 2) without being hit more [m].
+    """Return the largest depth (C,) to which lines may cut ``corners`` (C, 2) at no risk [m].
 
-    Where an ambush hits a cut line but not the edges first is on the corner's axis: it must be
-    within the reach of inner points of the edges, or, if the ``short`` one ends before, of its end.
-    ``sine`` and ``cosine`` (C,) are those of half the turn.
+    A line that is cut too deep is first hit from the corner's axis, at a place that reaches no
+    inner point of the edges, nor the end of the ``short`` edge (C,) if that ends before. ``sine``
+    and ``cosine`` (C,) are those of half the turn.
     """
     with np.errstate(divide='ignore', invalid='ignore'):
         used = reach * sine / cosine
@@ -182,13 +183,13 @@ def free_depth(corners: FloatArray, short: FloatArray, sine: FloatArray, cosine:
     return depth
 
 
-def _shared(most: FloatArray, length: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Divide edges (C + 1,) between the cuts at their ends, of which corners allow ``most`` (C,).
+def _divide_edges(max_cut: FloatArray, length: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Divide edges (C + 1,) between the cuts at their ends, at most ``max_cut`` (C,) each.
 
-    Returns the cuts (C, 2) before and after each corner, and at which edges (C + 1,) they meet.
+    Returns the cuts (C, 2) before and after each corner, and whether they meet on edges (C + 1,).
     """
-    most = padded(most)
-    tail, head = most[:-1], most[1:]
+    max_cut = pad(max_cut)
+    tail, head = max_cut[:-1], max_cut[1:]
     together = tail + head
     meet = together >= length
     tail_meeting = np.clip(0.5 * length, length - head, tail)
@@ -197,13 +198,13 @@ def _shared(most: FloatArray, length: FloatArray) -> tuple[FloatArray, BoolArray
                   np.where(meet, length - tail_meeting, shrink * head))
     cuts = np.stack((head[:-1], tail[1:]), axis=1)
     cuts[(cuts < SHORT * np.stack((length[:-1], length[1:]), axis=1)).any(axis=1)] = 0.0
-    cut = padded(cuts[:, 0]) > 0.0
+    cut = pad(cuts[:, 0]) > 0.0
     return cuts, np.asarray(meet & cut[:-1] & cut[1:])
 
 
 def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: BoolArray,
                  tube: FloatArray) -> CutRoutes:
-    """Replace each corner with cuts (C, 2) over 0 by a chord; at some edges, chords ``meet``."""
+    """Replace each corner with cuts (C, 2) > 0 by a chord; on some edges, chords ``meet``."""
     at = np.flatnonzero(cuts[:, 0] > 0.0)
     inside, outside, room, ends = _chord_widths(corners, cuts, at, tube[at])
     chords, count = at + 1, np.ones(len(whole.points), dtype=np.int64)
@@ -224,11 +225,11 @@ def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: Bo
     rooms[first[chords], inner] = room
     quarters[first[chords]] = quarters[last[chords]] = np.inf  # on the inner side, no limit
     quarters[first[chords], 1 - inner], quarters[last[chords], 1 - inner] = ends.T
-    # Where chords meet, nothing is left of the edge.
-    gone = last[:-1][meet]
-    quarters[gone + 1] = np.minimum(quarters[gone], quarters[gone + 1])
+    # Nothing is left of an edge on which chords meet.
+    dropped = last[:-1][meet]
+    quarters[dropped + 1] = np.minimum(quarters[dropped], quarters[dropped + 1])
     used = np.ones(len(points), dtype=bool)
-    used[gone] = False
+    used[dropped] = False
     points, quarters = points[used], quarters[used]
     unit, length = _directions(points, joined[used[:-1]])
     begins = np.cumsum(used)[first[whole.bounds[:-1]]] - 1
@@ -238,10 +239,10 @@ def _with_chords(whole: CutRoutes, corners: _Corners, cuts: FloatArray, meet: Bo
 
 def _chord_widths(corners: _Corners, cuts: FloatArray, at: IndexArray,
                   tube: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Widths (K,) of the chords' strips on the inner and outer side, and quarters at their ends.
+    """Sizes of the strips and quarters along chords at the corners ``at`` (K,).
 
-    ``at`` (K,) are their corners. The third is how much wider the inner strips are free, the last
-    has the radii (K, 2) of the quarters on the outer side.
+    Returns the widths (K,) on the inner and on the outer side, the free space (K,) beyond the inner
+    strips, and the radii (K, 2) of the quarters on the outer side.
     """
     cuts, sine, cosine = cuts[at], corners.sine[at], corners.cosine[at]
     before, after = cuts.T
@@ -259,8 +260,8 @@ def _chord_widths(corners: _Corners, cuts: FloatArray, at: IndexArray,
     return np.minimum(inside, tube), outside, np.maximum(inside - tube, 0.0), ends
 
 
-def padded(values: FloatArray) -> FloatArray:
-    """Append zeros for the first and last points to the values (K - 2, ...) of all others."""
+def pad(values: FloatArray) -> FloatArray:
+    """Add zeros for the first and last points to the values (K - 2, ...) of all others."""
     padded = np.zeros((len(values) + 2, *values.shape[1:]))
     padded[1:-1] = values
     return padded

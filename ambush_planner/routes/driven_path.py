@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driven path: the shortest in the drawn route's corridor, with rounded corners.
+"""The driven path: the shortest line in the drawn route's corridor, with rounded corners.
 
-The taut string leaves a margin at both ends of each portal, in which its corners are rounded, and
-beyond the ends where it is free and no ambush gains by it. If a turn is too tight, the margin is
-widened.
+The taut string leaves a margin at both ends of each portal, in which its corners are rounded;
+turns may also use free space beyond the ends if no ambush gains by it. If a turn is too tight, the
+margin is widened.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..errors import InvalidOption
 from ..maps.risk_map import to_world
 from ..maps.ros_messages import MAX_POSES
 from .corridors import Corridors
-from .cut_corners import cross, free_depth, padded
+from .cut_corners import cross, free_depth, pad
 from .taut_string import Portals, portals_along, taut_strings
 
 # Initial and largest margin [portal widths].
@@ -39,11 +39,11 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Lines with round corners, concatenated: ``points`` (C, 2) [m].
+    """Lines through ``points`` (C, 2) with round corners, concatenated [m].
 
-    At each point, ``turn`` (C,) is the turning angle [rad], positive to the left, and ``cut`` (C,)
-    the distance [m] from the start of the turn to the corner; both are 0 at the ends of a line.
-    Line i has the points from ``bounds[i]`` to ``bounds[i + 1]``.
+    Line i has the points from ``bounds[i]`` to ``bounds[i + 1]``. ``turn`` (C,) is the turning
+    angle at each point [rad], positive to the left, ``cut`` (C,) the distance from the start of the
+    turn to the corner [m]; both are 0 at the ends of a line.
     """
 
     points: FloatArray
@@ -62,12 +62,12 @@ class _Lines:
 
 def driven_path(corridors: Corridors, route: IndexArray, spacing: float,
                 turning_radius: float = 0.0, ends: Ends | None = None) -> FloatArray:
-    """World poses (L, 3) = (x, y, yaw) of the path to drive for a drawn route.
+    """Make the path to drive for a drawn route: world poses (L, 3) = (x, y, yaw).
 
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
     yaw is the direction of travel and changes by at most 20 degrees between poses. Turns have a
-    radius of at least ``turning_radius`` [m], or ``ROUND`` edges if that is larger, if the
-    corridors allow it, else the largest radius they allow (``turn_radii``).
+    radius of at least ``turning_radius`` [m] and of ``ROUND`` edges, or the largest radius that the
+    corridors allow (``turn_radii``).
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def driven_path(corridors: Corridors, route: IndexArray, spacing: float,
         Node indices from source to target.
     ends
         Exact start and goal [m] if they moved from the network's source and target
-        (``with_moved_end``).
+        (``move_end``).
 
     Raises InvalidOption if the path would have more than ``MAX_POSES``.
     """
@@ -84,28 +84,28 @@ def driven_path(corridors: Corridors, route: IndexArray, spacing: float,
 
 def driven_paths(corridors: Corridors, routes: list[IndexArray], spacing: float,
                  turning_radius: float = 0.0, ends: Ends | None = None) -> list[FloatArray]:
-    """``driven_path`` of each route, several times faster than one by one."""
+    """Make the paths of several routes as ``driven_path``, several times faster."""
     paths: list[FloatArray] = []
     for first in range(0, len(routes), AT_ONCE):
-        paths += _driven(corridors, routes[first : first + AT_ONCE], spacing, turning_radius, ends)
+        paths += _drive(corridors, routes[first : first + AT_ONCE], spacing, turning_radius, ends)
     for path in paths:
         _check_count(float(len(path)), spacing)
     return paths
 
 
-def joined(legs: Sequence[FloatArray]) -> FloatArray:
-    """The paths of legs as one, whose poses at stops are those of the arrival."""
+def join_legs(legs: Sequence[FloatArray]) -> FloatArray:
+    """Join the paths of legs; poses at stops are those of the arrival."""
     return np.concatenate((legs[0], *(leg[1:] for leg in legs[1:])))
 
 
-def _driven(corridors: Corridors, routes: list[IndexArray], spacing: float, turning_radius: float,
-            ends: Ends | None) -> list[FloatArray]:
+def _drive(corridors: Corridors, routes: list[IndexArray], spacing: float, turning_radius: float,
+           ends: Ends | None) -> list[FloatArray]:
     """Poses (L, 3) along each route."""
-    portals = portals_along(corridors, [corridors.shortened(route) for route in routes])
+    portals = portals_along(corridors, [corridors.shorten(route) for route in routes])
     uv, yaw, bounds = _poses(_smooth(portals, turning_radius), spacing)
-    in_world = to_world(corridors.origin, uv)
-    poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
-    # The transforms to map axes and back may have changed the last digit.
+    poses = np.column_stack((to_world(corridors.origin, uv),
+                             _wrap(yaw + corridors.origin[2])))
+    # The transforms to map axes and back may have changed the last digit of the ends.
     points = corridors.network.points
     begin, end = ends or (points[[route[k] for route in routes]] for k in (0, -1))
     poses[bounds[:-1], :2], poses[bounds[1:] - 1, :2] = begin, end
@@ -113,11 +113,11 @@ def _driven(corridors: Corridors, routes: list[IndexArray], spacing: float, turn
 
 
 def turn_radii(poses: FloatArray) -> FloatArray:
-    """Radii (L - 1,) [m] of the arcs between poses of a path (L, 3) of ``driven_path``.
+    """Return the radii (L - 1,) of the arcs between poses of a driven path (L, 3) [m].
 
     They are inf on straight parts and 0 for turns on the spot.
     """
-    half = np.abs(_wrapped(np.diff(poses[:, 2]))) / 2
+    half = np.abs(_wrap(np.diff(poses[:, 2]))) / 2
     bent = half > 1e-9
     chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     radii: FloatArray = np.where(bent, chord / (2.0 * np.sin(np.where(bent, half, 1.0))), math.inf)
@@ -125,15 +125,15 @@ def turn_radii(poses: FloatArray) -> FloatArray:
 
 
 def tight_turns(poses: FloatArray, turning_radius: float) -> int:
-    """Number of turns of a path (L, 3) that are tighter than ``turning_radius`` [m]."""
+    """Count the turns of a path (L, 3) that are tighter than ``turning_radius`` [m]."""
     tight = turn_radii(poses) < turning_radius * (1.0 - 1e-6)
     return int(np.count_nonzero(tight & ~np.append(False, tight[:-1])))
 
 
 def _smooth(portals: Portals, turning_radius: float) -> _Lines:
-    """Taut strings with round corners, and with wider margins where turns are too tight."""
+    """Taut strings with round corners, and with wider margins if turns are too tight."""
     margin = MARGIN * portals.width
-    wanted = np.maximum(ROUND * portals.length, turning_radius)
+    min_radius = np.maximum(ROUND * portals.length, turning_radius)
     count = len(portals.bounds) - 1
     route_of = np.repeat(np.arange(count), np.diff(portals.bounds))
     best: list[tuple[FloatArray, ...]] = [()] * count
@@ -141,14 +141,14 @@ def _smooth(portals: Portals, turning_radius: float) -> _Lines:
     routes = np.arange(count)
     for _ in range(PASSES):
         taut = taut_strings(portals, margin, routes.tolist())
-        at, side = np.array(sum(taut, [])).T
-        lines = _rounded(portals, at, side, np.cumsum([0, *map(len, taut)]), margin)
+        portal, side = np.array(sum(taut, [])).T
+        lines = _round_corners(portals, portal, side, np.cumsum([0, *map(len, taut)]), margin)
         smallest = np.minimum.reduceat(lines.radii, lines.bounds[:-1])
         for k in np.flatnonzero(smallest >= radius[routes]).tolist():
             part = slice(*lines.bounds[k : k + 2])
             best[routes[k]] = lines.points[part], lines.turn[part], lines.cut[part]
         radius[routes] = np.maximum(radius[routes], smallest)
-        tight = at[lines.radii < wanted[at]]
+        tight = portal[lines.radii < min_radius[portal]]
         tight = tight[margin[tight] < MAX_MARGIN * portals.width[tight]]
         if len(tight) == 0:
             break
@@ -158,40 +158,39 @@ def _smooth(portals: Portals, turning_radius: float) -> _Lines:
     return _Lines(points, turn, cut, np.cumsum([0, *(len(each[0]) for each in best)]))
 
 
-def _rounded(portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexArray,
-             margin: FloatArray) -> _Lines:
+def _round_corners(portals: Portals, portal: IndexArray, side: IndexArray, bounds: IndexArray,
+                   margin: FloatArray) -> _Lines:
     """Round the corners as widely as segments, portals and margins allow.
 
-    The corners are on the sides ``side`` (C,) of the portals ``at`` (C,), as ``taut_strings``
-    returns them.
+    Corners are given by ``portal`` (C,) and ``side`` (C,), as ``taut_strings`` returns them.
     """
-    left, right = (portals.places(margin, each)[at] for each in (1, -1))
+    left, right = (portals.places(margin, each)[portal] for each in (1, -1))
     points = np.where(side[:, None] > 0, left, right)
     step = np.diff(points, axis=0)
     length = np.hypot(*step.T)
     unit = step / np.maximum(length, np.finfo(float).tiny)[:, None]
-    before, after, inner = unit[:-1], unit[1:], at[1:-1]
+    before, after, inner = unit[:-1], unit[1:], portal[1:-1]
     real = side[1:-1] != 0
     turn = np.where(real, np.arctan2(cross(before, after), (before * after).sum(axis=1)), 0.0)
     outward = side[1:-1, None] * portals.leftward[inner]
     with np.errstate(divide='ignore', invalid='ignore'):
         offset = _relative_offset(turn, outward, after - before)
         room = portals.room[inner, np.where(side[1:-1] > 0, 0, 1)]
-        unnoticed = _unnoticed(portals, points[1:-1], turn, np.minimum(length[:-1], length[1:]))
-        cut = np.fmax(margin[inner] / offset, np.fmin((margin[inner] + room) / offset, unnoticed))
+        free_cut = _free_cuts(portals, points[1:-1], turn, np.minimum(length[:-1], length[1:]))
+        cut = np.fmax(margin[inner] / offset, np.fmin((margin[inner] + room) / offset, free_cut))
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], before, inner - 1))
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], after, inner + 1))
     tangent = np.maximum(np.tan(np.abs(turn) / 2), 1e-12)
-    turn, cut, tangent = (padded(np.where(real, each, 0.0)) for each in (turn, cut, tangent))
+    turn, cut, tangent = (pad(np.where(real, each, 0.0)) for each in (turn, cut, tangent))
     cut = _fit_between_corners(cut, tangent, length)
     return _Lines(points, turn, np.where(np.abs(turn) > 1e-9, 0.999 * cut, 0.0), bounds)
 
 
 def _relative_offset(turn: FloatArray, outward: FloatArray, lateral: FloatArray) -> FloatArray:
-    """Offsets of turns (C,) from their corners along portals (C, 2) [cuts].
+    """Offsets of turns (C,) from their corners along portals (C, 2), as multiples of the cuts.
 
-    ``aside`` (C, 2) is the change of direction. Chords between poses lie outside a circle of ``k``
-    times the turning radius, and no further from the corner than the chord of the whole turn.
+    ``lateral`` (C, 2) is the change of direction. Chords between poses lie outside a circle of
+    ``k`` times the turning radius, and no further from the corner than the chord of the whole turn.
     """
     half, k = np.abs(turn) / 2, math.cos(TURN / 2)
     cosine = np.abs((outward * lateral).sum(axis=1)) / np.hypot(*lateral.T)
@@ -202,12 +201,12 @@ def _relative_offset(turn: FloatArray, outward: FloatArray, lateral: FloatArray)
     return offset
 
 
-def _unnoticed(portals: Portals, points: FloatArray, turn: FloatArray,
+def _free_cuts(portals: Portals, points: FloatArray, turn: FloatArray,
                short: FloatArray) -> FloatArray:
-    """Largest cuts (C,) of turns between lines, the ``short`` ones (C,), that are hit no more."""
+    """Largest cuts (C,) that no additional ambush hits; ``short`` (C,) is the shorter segment."""
     sine, cosine = np.sin(np.abs(turn) / 2), np.cos(turn / 2)
     depth = free_depth(points, short, sine, cosine, portals.reach, portals.secured)
-    # Of the chords between poses, the deepest one; one chord only if the turn is small.
+    # Depth of the deepest chord between poses; a small turn has a single chord.
     deepest: FloatArray = np.minimum((1.0 - math.cos(TURN / 2) * cosine) / sine, sine)
     return depth / deepest
 
@@ -227,7 +226,7 @@ def _fit_between_corners(cut: FloatArray, tangent: FloatArray, length: FloatArra
 
 def _distance_to_portals(portals: Portals, points: FloatArray, direction: FloatArray,
                          portal: IndexArray) -> FloatArray:
-    """Distance (C,) from points along directions to the lines of portals; nan at route ends."""
+    """Distance (C,) from points along directions to the lines of portals; NaN at route ends."""
     line = portals.leftward[portal]
     found: FloatArray = np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))
     return found
@@ -236,8 +235,8 @@ def _distance_to_portals(portals: Portals, points: FloatArray, direction: FloatA
 def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, IndexArray]:
     """Positions (L, 2) and yaws (L,) along the lines, and the bounds of each line in them.
 
-    Each corner contributes the poses of its turn and of the straight part behind it, the end of a
-    line a single pose.
+    A corner contributes the poses of its turn and of the straight part after it, the end of a line
+    a single pose.
     """
     first, last = lines.bounds[:-1], lines.bounds[1:] - 1
     step = np.diff(lines.points, axis=0, append=lines.points[-1:])
@@ -248,14 +247,14 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     straight[last] = 0.0
     turn = np.abs(lines.turn)
     arc = np.where(turn > 1e-9, lines.cut * turn / np.tan(np.maximum(turn, 1e-9) / 2), 0.0)
-    # Part 2 k is the turn at corner k, 2 k + 1 the straight part behind it.
+    # Part 2 k is the turn at corner k, 2 k + 1 the straight part after it.
     parts = np.zeros(2 * len(step))
     with np.errstate(over='ignore'):
         parts[::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
         parts[1::2] = np.ceil(straight / spacing - 1e-9)
     parts[2 * last + 1] = 1.0
-    of_lines = np.add.reduceat(parts, 2 * first)
-    _check_count(float(of_lines.max()), spacing)
+    line_counts = np.add.reduceat(parts, 2 * first)
+    _check_count(float(line_counts.max()), spacing)
     count = parts.astype(np.int64)
     part, number = members(count)
     share = number / count[part]
@@ -270,9 +269,9 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     with np.errstate(divide='ignore', invalid='ignore'):
         radius = np.where(bend != 0.0, lines.cut[k] / np.tan(np.abs(bend) / 2), 0.0)
     chord = np.where(bent, 2.0 * radius * np.abs(np.sin(half)), share * straight[k])
-    toward = yaw[segment] + half
-    uv = origin + chord[:, None] * np.stack((np.cos(toward), np.sin(toward)), axis=1)
-    return uv, angle, np.append(0, np.cumsum(of_lines.astype(np.int64)))
+    heading = yaw[segment] + half
+    uv = origin + chord[:, None] * np.stack((np.cos(heading), np.sin(heading)), axis=1)
+    return uv, angle, np.append(0, np.cumsum(line_counts.astype(np.int64)))
 
 
 def _check_count(poses: float, spacing: float) -> None:
@@ -283,7 +282,7 @@ def _check_count(poses: float, spacing: float) -> None:
         )
 
 
-def _wrapped(angle: FloatArray) -> FloatArray:
-    """The same angles in [-pi, pi)."""
+def _wrap(angle: FloatArray) -> FloatArray:
+    """Return the same angles in [-pi, pi)."""
     wrapped: FloatArray = (angle + math.pi) % (2.0 * math.pi) - math.pi
     return wrapped

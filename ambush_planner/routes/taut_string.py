@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shortest lines through the corridors of many routes at once.
 
-The strips and quarters of a route with cut corners (``cut_corners``) overlap in a *portal* at each
-point: a piece of the bisector of its two segments. Strips are convex, so straight lines from portal
-to portal stay in them. The shortest such line, the taut string, is found by the funnel algorithm
-(Lee and Preparata 1984) in one pass.
+At each point of a route with cut corners (``cut_corners``), the strips and quarters of its two
+segments overlap in a *portal*: a piece of the bisector. Strips are convex, so straight lines from
+portal to portal stay in them. The funnel algorithm (Lee and Preparata 1984) finds the shortest such
+line, the taut string, in one pass.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray
 from ..game.discs import SecuredArea
 from .corridors import Corridors
-from .cut_corners import cross, cut_routes, padded
+from .cut_corners import cross, cut_routes, pad
 
 # Largest extent of portals along their edges [edge lengths]; below 0.5, neighbours never cross.
 EDGE_SHARE = 0.45
@@ -25,13 +25,13 @@ EDGE_SHARE = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Portals:
-    """The portals at the ``nodes`` (K, 2) of lines, concatenated [m].
+    """Portals at the ``nodes`` (K, 2) of lines, concatenated [m].
 
-    ``leftward`` (K, 2) are unit vectors, ``left`` and ``right`` (K,) the extents to both sides, 0
-    at the ends of a line, and ``length`` (K,) is that of the shorter segment. Line i has the
-    portals from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,). ``room`` (K, 2) is how far it is free
-    of obstacles beyond the left and right ends on the inner side of a turn: lines may lead there
-    where no ambush with the ``reach`` [m] gains by it; in the ``secured`` discs, none hits.
+    Line i has the portals from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,). ``leftward`` (K, 2) are
+    unit vectors, ``left`` and ``right`` (K,) the extents to both sides, 0 at the ends of a line;
+    ``length`` (K,) is that of the shorter segment. ``room`` (K, 2) is the free space beyond the
+    left and right ends on the inner side of a turn: lines may use it if no ambush with the
+    ``reach`` [m] gains by it. In the ``secured`` discs no ambush hits.
     """
 
     nodes: FloatArray
@@ -50,13 +50,13 @@ class Portals:
         return self.left + self.right
 
     def places(self, margin: FloatArray, side: float) -> FloatArray:
-        """Points (K, 2) on the portals, ``margin`` from their left (1) or right (-1) ends."""
+        """Points (K, 2) on the portals, ``margin`` (K,) inside the left (1) or right (-1) end."""
         lateral = np.where(side > 0, self.left - margin, margin - self.right)
         return self.nodes + lateral[:, None] * self.leftward
 
 
 def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
-    """The portals along routes (K,), with their corners cut."""
+    """Find the portals along routes (K,) with their corners cut."""
     lines = cut_routes(corridors, routes)
     unit, length, widths, quarters = lines.unit, lines.length, lines.widths, lines.quarters[1:-1]
     halves = unit[:-1] + unit[1:]
@@ -79,11 +79,11 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     inner_corner = lines.joined[:-1] & lines.joined[1:]
     usable = inner_corner & (size > 1e-6)
     secured = corridors.secured._replace(radii=corridors.secured.radii + corridors.tube)
-    return Portals(lines.points, padded(leftward * inner_corner[:, None]),
-                   padded(np.where(turn >= 0, inner[0], outer[0]) * usable),
-                   padded(np.where(turn <= 0, inner[1], outer[1]) * usable),
-                   padded(np.minimum(length[:-1], length[1:])), lines.bounds,
-                   padded(np.stack((room[0] * (turn >= 0), room[1] * (turn <= 0)), axis=1)
+    return Portals(lines.points, pad(leftward * inner_corner[:, None]),
+                   pad(np.where(turn >= 0, inner[0], outer[0]) * usable),
+                   pad(np.where(turn <= 0, inner[1], outer[1]) * usable),
+                   pad(np.minimum(length[:-1], length[1:])), lines.bounds,
+                   pad(np.stack((room[0] * (turn >= 0), room[1] * (turn <= 0)), axis=1)
                           * usable[:, None]),
                    max(corridors.reach - corridors.tube, 0.0), secured)
 
@@ -95,7 +95,12 @@ def taut_strings(portals: Portals, margin: FloatArray,
     A corner is (portal, side): side 1 is the left end, -1 the right end, 0 an end of the route.
     """
     left, right = (portals.places(margin, side) for side in (1, -1))
-    first = np.where(_left_first(left, right), 1, -1)
+    # The left end may advance to the next portal before the right end does if the diagonal from
+    # the old right end to the new left end lies between the portals.
+    old, new = right[:-1], left[1:]
+    diagonal = (cross(old - left[:-1], new - left[:-1]) >= 0.0) & (
+        cross(right[1:] - old, new - old) >= 0.0)
+    first = np.where(np.append(True, diagonal), 1, -1)
     side = np.stack((first, -first), axis=1)
     xy = np.where(side[:, :, None] > 0, left[:, None], right[:, None])
     steps = list(zip(side.ravel().tolist(), *xy.reshape(-1, 2).T.tolist(), strict=True))
@@ -105,9 +110,9 @@ def taut_strings(portals: Portals, margin: FloatArray,
 
 def _taut_string(steps: list[tuple[int, float, float]], first: int,
                  end: int) -> list[tuple[int, int]]:
-    """Corners of the line through the portals from ``first`` to before ``end``.
+    """Corners of the shortest line through the portals from ``first`` up to ``end``, exclusive.
 
-    ``steps`` are (side, x, y) of the ends of all portals, in the order in which they are advanced.
+    ``steps`` are (side, x, y) of the ends of all portals, in the order in which they advance.
     """
     corners, k = [(first, 0)], 2 * first + 2
     _, ax, ay = steps[2 * first]  # the apex of the funnel
@@ -129,14 +134,3 @@ def _taut_string(steps: list[tuple[int, float, float]], first: int,
                 k = other // 2 * 2 + 1
         k += 1
     return [*(corner for corner in corners if corner[0] != end - 1), (end - 1, 0)]
-
-
-def _left_first(left: FloatArray, right: FloatArray) -> BoolArray:
-    """Return whether the left end may advance to the next portal before the right end does.
-
-    It may if the diagonal from the old right to the new left end lies between the portals.
-    """
-    old, new = right[:-1], left[1:]
-    before = cross(old - left[:-1], new - left[:-1]) >= 0.0
-    after = cross(right[1:] - old, new - old) >= 0.0
-    return np.append(True, before & after)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Way points of a path: where its driver turns, and on roads what else he must not miss.
+"""Way points of a path: the places that its driver must not miss.
 
 Off roads they are the path's main corners. On roads they are the junctions at which the route turns
-or another road forks; a roundabout is one of them.
+or another road forks off; a roundabout counts as one junction.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from ..maps.road_tags import ROUNDABOUT
 from ..network.road_network import ON_ROAD
 from .legs import corners_of_legs, distances_along
 
-# Maximum number of way points on roads, unless more of them are turns: they fit one page.
+# Maximum number of way points on roads, to fit one page, unless more of them are turns.
 MAX_ROWS = 36
-# Distance of start and goal from a road, and of junctions from them, that is too small to tell [m].
+# Distance of start and goal from a road, and of junctions from them, that is not mentioned [m].
 NEAR = 5.0
 # Distance over which the direction of a road is measured at a junction [m].
 BASE = 25.0
-# Turning angles [degrees] from which a way is not straight on, a proper turn, sharp, and back; and
-# up to which another road makes a fork of a way straight on.
+# Turning angles [degrees] from which a way bears to a side, turns, turns sharply, and turns back;
+# and angle up to which another road makes a fork of a way straight on.
 BEAR, TURN, SHARP, BACK, FORK = 30.0, 55.0, 125.0, 165.0, 45.0
 _COMPASS = ('north', 'north-east', 'east', 'south-east', 'south', 'south-west', 'west',
             'north-west')
@@ -38,10 +38,10 @@ STRAIGHT = 'straight on'
 
 @dataclass(frozen=True, eq=False)
 class WayPoint:
-    """A place (2,) [m] on a path, and the distance to it along the path [m].
+    """A place (2,) [m] on a path, with its ``distance`` along the path [m].
 
-    ``name`` is of start, stops and goal. On roads, ``action`` is what to do, and ``road`` the name
-    of the road that follows; the next ``passed`` junctions are no way points.
+    Start, stops and goal have a ``name``. On roads, ``action`` is the instruction, ``road`` the
+    name of the road that follows, and ``passed`` the number of junctions before the next way point.
     """
 
     xy: FloatArray
@@ -59,7 +59,7 @@ class WayPoint:
 
     @property
     def label(self) -> str:
-        """Name and what to do."""
+        """Name and instruction."""
         return ', '.join(filter(None, (self.name, self.text)))
 
 
@@ -71,11 +71,11 @@ def way_points(path: FloatArray, names: Sequence[str], stops: FloatArray,
     route that the path follows.
     """
     if line is None or roads is None:
-        at = corners_of_legs(path, stops)
+        corners = corners_of_legs(path, stops)
         found = [WayPoint(path[k], travelled) for k, travelled in
-                 zip(at, distances_along(path)[at].tolist(), strict=True)]
+                 zip(corners, distances_along(path)[corners].tolist(), strict=True)]
     else:
-        found = _fewer(_junctions(line, stops, roads, float(distances_along(path)[-1])))
+        found = _drop_followed(_junctions(line, stops, roads, float(distances_along(path)[-1])))
     places = np.array([each.xy for each in found])
     first = 0
     for name, xy in zip(names[1:-1], stops, strict=True):
@@ -87,7 +87,7 @@ def way_points(path: FloatArray, names: Sequence[str], stops: FloatArray,
 
 @dataclass(frozen=True, eq=False)
 class _Roads:
-    """Roads by their places."""
+    """Roads as a graph of places, for queries at junctions."""
 
     graph: RoadGraph
 
@@ -103,8 +103,8 @@ class _Roads:
     def arms(self, place: int) -> tuple[IndexArray, IndexArray, FloatArray]:
         """Other places of the pieces at a place, their names, and the speeds towards them."""
         tails, heads, name, speed = self._arms
-        here = slice(*np.searchsorted(tails, (place, place + 1)))
-        return heads[here], name[here], speed[here]
+        leaving = slice(*np.searchsorted(tails, (place, place + 1)))
+        return heads[leaving], name[leaving], speed[leaving]
 
     def degrees(self, places: IndexArray) -> IndexArray:
         """Number of pieces at each of the places."""
@@ -112,12 +112,12 @@ class _Roads:
 
     def direction(self, place: int, head: int) -> FloatArray:
         """Direction (2,) of the road that leaves a place towards another one."""
-        begin, before = self.graph.points[place], place
+        begin, previous = self.graph.points[place], place
         while np.hypot(*(self.graph.points[head] - begin)) < BASE:
             heads = self.arms(head)[0]
             if len(heads) != 2 or head == place:
                 break
-            before, head = head, int(heads[heads != before][0])
+            previous, head = head, int(heads[heads != previous][0])
         return self.graph.points[head] - begin
 
     def nearest(self, xy: FloatArray) -> tuple[float, str]:
@@ -132,17 +132,17 @@ class _Roads:
 
 def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
                length: float) -> list[tuple[WayPoint, bool]]:
-    """All way points of a route (K, 2) on roads, whose path has a length [m].
+    """Find all way points of a route (K, 2) on roads, whose path has a ``length`` [m].
 
-    Also returns whether the route only follows its road there.
+    Each comes with whether the route merely follows its road there.
     """
     roads = _Roads(graph)
     line = line[np.r_[True, np.diff(line, axis=0).any(axis=1)]]
     travelled = distances_along(line)
-    far, place = cKDTree(graph.points).query(line)
-    crossing = (far <= ON_ROAD) & (roads.degrees(place) > 2)
+    offset, place = cKDTree(graph.points).query(line)
+    crossing = (offset <= ON_ROAD) & (roads.degrees(place) > 2)
     ends = [0, *(int(np.hypot(*(line - stop).T).argmin()) for stop in stops), len(line) - 1]
-    # The links between ends and roads, and where these meet.
+    # Edges between the ends and the roads, and the nodes at which these meet.
     loose = [k for k in ends if roads.nearest(line[k])[0] > NEAR]
     links = {min(k, k + step) for k in loose for step in (-1, 0)} & set(range(len(line) - 1))
     joints = {k + step for k in loose for step in (-1, 1)}
@@ -151,15 +151,15 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
                      *np.flatnonzero(crossing & inner).tolist()})
 
     def name(edge: int) -> str:
-        """The name of the road along an edge of the route."""
+        """Name of the road along an edge of the route."""
         if edge in links:
             return ''
-        if far[edge] <= ON_ROAD:
+        if offset[edge] <= ON_ROAD:
             return roads.name(_arm_towards(roads, place[edge], line[edge + 1] - line[edge])[1])
         return roads.nearest((line[edge] + line[edge + 1]) / 2.0)[1]
 
     found: list[tuple[WayPoint, bool]] = []
-    exits = 0  # passed on a roundabout, whose way point is its entry; 0: on none
+    exits = 0  # number of exits passed on a roundabout, whose way point is its entry; 0: on none
     for k, before, after in zip(events, [0, *events], [*events[1:], len(line) - 1], strict=False):
         point = WayPoint(line[k], float(travelled[k] * length / travelled[-1]))
         if k == len(line) - 1:
@@ -188,8 +188,8 @@ def _junctions(line: FloatArray, stops: FloatArray, graph: RoadGraph,
     return found
 
 
-def _fewer(found: list[tuple[WayPoint, bool]]) -> list[WayPoint]:
-    """Leave out junctions where the route follows its road if there are too many way points."""
+def _drop_followed(found: list[tuple[WayPoint, bool]]) -> list[WayPoint]:
+    """Drop junctions at which the route follows its road, if there are too many way points."""
     shown: list[WayPoint] = []
     for point, follows in found:
         if follows and len(found) > MAX_ROWS:
@@ -200,18 +200,18 @@ def _fewer(found: list[tuple[WayPoint, bool]]) -> list[WayPoint]:
 
 
 def _other_arms(roads: _Roads, place: int, route: FloatArray) -> list[FloatArray]:
-    """Directions of the roads that can be driven at a junction, without the route's own.
+    """Directions of the drivable roads at a junction, except the route's own.
 
     ``route`` (3, 2) are the nodes before, at and after it.
     """
     heads, _, speed = roads.arms(place)
-    own = {_arm_towards(roads, place, each - route[1])[0] for each in route[[0, 2]]}
+    used = {_arm_towards(roads, place, each - route[1])[0] for each in route[[0, 2]]}
     return [roads.direction(place, head) for head in heads[speed > 0.0].tolist()
-            if head not in own]
+            if head not in used]
 
 
 def _arm_towards(roads: _Roads, place: int, direction: FloatArray) -> tuple[int, int]:
-    """The piece at a place that leads in a direction: its other place, and its name."""
+    """Other place, and name, of the piece at a place that leads in a direction."""
     heads, name, _ = roads.arms(place)
     directions = roads.graph.points[heads] - roads.graph.points[place]
     k = int((directions @ direction / np.hypot(*directions.T)).argmax())
@@ -219,7 +219,7 @@ def _arm_towards(roads: _Roads, place: int, direction: FloatArray) -> tuple[int,
 
 
 def _point_at(line: FloatArray, travelled: FloatArray, distance: float) -> FloatArray:
-    """The point (2,) at a distance along a line."""
+    """Point (2,) at a distance along a line."""
     return np.array([np.interp(distance, travelled, axis) for axis in line.T])
 
 
@@ -229,7 +229,7 @@ def _angle(one: FloatArray, other: FloatArray) -> float:
 
 
 def _action(turn: float, others: Sequence[float]) -> str:
-    """Name the turn at a junction, by it and those to the other roads [degrees]."""
+    """Name a turn [degrees] at a junction, given the turns to the ``others``."""
     side, size = 'left' if turn > 0.0 else 'right', abs(turn)
     if size > BACK:
         return 'turn round'

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The judge: value and lower bound from a strategy and an ambusher alone."""
+"""Value and lower bound from both sides' strategies alone, without the solver."""

@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate: the worst mean loss of a strategy, and a bound that no strategy can beat.
+"""The certificate: value and lower bound of a strategy, recomputed from both sides' strategies.
 
-Each route counts once per site, however often it comes back into the site's reach. For a strategy
-of each leg i within its length budget, any q >= 0 that sums to 1, and prices pi_i >= 0,
+A site hits a route at most once. For any strategy within the length budgets, any q >= 0 that sums
+to 1, and any prices pi_i >= 0 of the budgets (docs/theory.md, Propositions 5.3 and 13.1),
 
-    value >= sum over j of q_j alpha_j sum over i of P(leg i is hit at j)
-          >= sum over i of [min over routes of leg i of sum over the sites j that it meets of
-                            q_j alpha_j + pi_i * its reduced cost, - pi_i * margin_i],
+    value >= sum over legs i and sites j of q_j alpha_j P(j hits leg i)
+          >= sum over legs i of (least cost of leg i - pi_i margin_i).
 
-where the reduced cost of a route is how much longer it is than the shortest one, and the margin is
-the budget minus the shortest route's length. The left side follows from the strategies (``hits``).
-On the right, the least cost of each leg is a shortest path if no route can come back to a site,
-else it is bounded from below by closed curves (``curves``) or labels (``best_response``). Neither
-depends on the solver.
+The cost of a route is the sum of the site prices q_j alpha_j of the sites that hit it, plus pi_i
+times its reduced cost: its length minus that of the shortest route. The margin is the budget minus
+the length of the shortest route. The value follows from the convoy's strategies (``hits``). The
+least cost is a shortest path if no route can re-enter a site's reach; otherwise closed curves
+(``curves``) and labels (``best_response``) bound it from below. Nothing here knows the solver.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ from .curves import curve_bound
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """``value`` of a strategy, and the ``bound`` that no strategy within the budgets beats.
+    """Value of a strategy, and a lower bound for all strategies within the budgets.
 
-    Raises SolverFailed if the bound exceeds the value by more than rounding.
+    Raises SolverFailed if the bound is negative or exceeds the value by more than rounding.
     """
 
     value: float
@@ -51,22 +50,22 @@ class Certificate:
 
 
 class Certified:
-    """Strategies with a ``certificate``."""
+    """Base of strategies that carry a ``certificate``."""
 
     certificate: Certificate
 
     @property
     def value(self) -> float:
-        """Mean loss by the best ambush at one place, added up over the legs of a trip.
+        """Largest mean loss that an ambush at one site causes, summed over the legs of a trip.
 
-        A route counts once per site, however often it comes back into the site's reach. If a
-        strategy has cycles, every entry counts: an upper bound.
+        A site hits a route at most once. If the strategy has cycles, the value is an upper bound:
+        it counts every entry into the site's reach.
         """
         return self.certificate.value
 
     @property
     def lower_bound(self) -> float:
-        """No strategies within the budgets have a smaller value, counted in the same way."""
+        """Lower bound of the value of every strategy within the budgets."""
         return self.certificate.bound
 
     @property
@@ -77,43 +76,43 @@ class Certified:
 
 def lower_bounds(legs: Legs, ambusher: Ambusher, deadline: float = math.inf,
                  targets: FloatArray | None = None) -> FloatArray:
-    """The least loss of each leg (legs,) against the ambusher; their sum bounds the value.
+    """Lower bound (legs,) of each leg's mean loss to the ambusher; the sum bounds the value.
 
-    A leg's bound can be below 0, if its budget is worth more than it loses. Proofs take until
-    ``deadline`` (``time.monotonic``) at most; that of a leg ends at its target (legs,).
+    A leg's bound is negative if its budget is worth more than what the leg loses. The search for a
+    leg's bound stops at its target (legs,), and all stop at ``deadline`` (``time.monotonic``).
     """
-    wanted = np.full(len(legs.games), math.inf) if targets is None else targets
-    return np.array([leg_bound(game, budget, own, deadline, target)
-                     for game, budget, own, target in zip(
-                         legs.games, legs.budgets, ambusher.by_leg(), wanted, strict=True)])
+    targets = np.full(len(legs.games), math.inf) if targets is None else targets
+    return np.array([_leg_bound(game, budget, share, deadline, target)
+                     for game, budget, share, target in zip(
+                         legs.games, legs.budgets, ambusher.by_leg(), targets, strict=True)])
 
 
-def leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float = math.inf,
-              target: float = math.inf) -> float:
-    """The least loss of any strategy of a leg within its budget against its ambusher."""
+def _leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float,
+               target: float) -> float:
+    """Lower bound of the mean loss of one leg to its ambusher."""
     q, (price,), bound = ambusher.q, ambusher.prices, -math.inf
     if game.no_reentry:
         return entry_bound(game, budget, q, price)
-    for given in ambusher.circulations:
+    for circulation in ambusher.circulations:
         faces = make_faces(game)
         if faces is None or not faces.same_both_ways(budget.cost):
             raise SolverFailed('a circulation proves nothing where links cross or are one-way')
-        bound = curve_bound(faces, given, game.loss * q, budget, price, deadline, target)
+        bound = curve_bound(faces, circulation, game.loss * q, budget, price, deadline, target)
     if bound >= target:
         return bound
-    weights, worth = _paid(game, budget, price)
+    weights, worth = _priced_budget(game, budget, price)
     return max(bound, best_response(game, q, weights, deadline, target + worth) - worth)
 
 
 def entry_bound(game: Game, budget: Budget, q: FloatArray, price: float) -> float:
-    """The same if every entry is counted: one shortest path."""
-    weights, worth = _paid(game, budget, price)
+    """Lower bound of a leg's mean loss if every entry counts as a hit: one shortest path."""
+    weights, worth = _priced_budget(game, budget, price)
     weights = weights + game.entering.T @ (game.loss * q)[game.sites]
     return float(game.distances_from_source(weights)[game.network.target]) - worth
 
 
-def _paid(game: Game, budget: Budget, price: float) -> tuple[FloatArray, float]:
-    """The price of each edge (M,) for the budget, and the budget's worth to the convoy."""
+def _priced_budget(game: Game, budget: Budget, price: float) -> tuple[FloatArray, float]:
+    """Cost (M,) of each edge at the budget's price, and what the whole margin is worth."""
     if not price > 0.0:
         return np.zeros(len(game.playable)), 0.0
     return price * budget.reduced_cost, price * budget.margin

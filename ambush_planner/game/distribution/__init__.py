@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The route distribution: the most unpredictable strategy within limits, on an acyclic network."""
+"""The route distribution: the strategy of greatest entropy within caps, on an acyclic network."""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An acyclic subnetwork: a topological order of nodes, and the edges that go forward in it.
+"""Acyclic subnetworks: a topological order of nodes, and the edges that go forward in it.
 
-On an acyclic subnetwork every strategy's p and x are probabilities and every drawn route is simple.
-The order follows the *harmonic potential*: the voltage if each edge is a resistor in proportion to
-its length, the source is at 0 and the target at 1. The potential of every other node lies between
-those of its neighbours, so on a two-way network every node on a route keeps a forward edge in and
-out, and each road keeps one direction. Where a given strategy has to remain possible, its edges go
-forward, and the potential only orders the nodes that these leave free.
+On an acyclic subnetwork every strategy's p and x are probabilities, and every drawn route is
+simple. The order follows the *harmonic potential*: the voltage if each edge is a resistor in
+proportion to its length, the source is at 0 and the target at 1. The potential of every other node
+lies between those of its neighbours, so on a two-way network every node on a route keeps a forward
+edge in and out, and each road keeps one direction. If a given strategy has to remain possible, its
+edges go forward, and the potential only orders the nodes that these leave free.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ..game import Game
 
 
 def order_potential(game: Game) -> FloatArray:
-    """The voltage (N,) of nodes on playable edges, 0 at source and 1 at target; inf elsewhere."""
+    """Voltages (N,) of the nodes of playable edges, 0 at source and 1 at target; inf elsewhere."""
     network, edges = game.network, game.network.edges[game.playable]
     driven = np.unique(edges)
     lengths = network.lengths[game.playable]
@@ -62,8 +62,8 @@ def positions_by(potential: FloatArray) -> IndexArray:
 def topological_order(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
     """Position (N,) of each node in a topological order for an acyclic p (M,).
 
-    The next node is the one of least potential whose predecessors under p are all placed; the
-    source is first and the target last.
+    The next node is that of least potential whose predecessors under p all have a position. The
+    source is first, the target last.
     """
     network, n = game.network, game.node_count
     potential = potential.copy()
@@ -74,10 +74,10 @@ def topological_order(game: Game, p: FloatArray, potential: FloatArray) -> Index
     order = np.argsort(tail, kind='stable')
     first = np.searchsorted(tail[order], np.arange(n + 1)).tolist()
     heads = head[order].tolist()
-    waiting = np.bincount(head, minlength=n)
-    waiting[number[network.target]] += 1  # placed only when everything else is
-    free = np.flatnonzero(waiting == 0).tolist()  # in order, so a heap
-    pending = waiting.tolist()
+    pending = np.bincount(head, minlength=n)  # predecessors without a position
+    pending[number[network.target]] += 1  # so it comes last
+    free = np.flatnonzero(pending == 0).tolist()  # sorted, so a heap
+    pending = pending.tolist()
     position = np.full(n, n, dtype=np.int64)
     place = 0
     while free:
@@ -92,53 +92,53 @@ def topological_order(game: Game, p: FloatArray, potential: FloatArray) -> Index
 
 
 def acyclic_subnetwork(game: Game, position: IndexArray) -> Game | None:
-    """The game on the edges along which ``position`` (N,) rises; None if it has no route."""
+    """Return the game on edges along which ``position`` (N,) rises; None if it has no route."""
     return game.restricted_to(position[game.network.tails] < position[game.network.heads])
 
 
 def without_cycles(network: Network, p: FloatArray) -> FloatArray:
-    """Return p (M,) without the flow around cycles; no node is visited more often."""
+    """Cancel the flow of p (M,) around cycles; no node is visited more often."""
     component, used = _strong_components(network, p), np.flatnonzero(p > 0.0)
     tails, heads = network.edges[used].T
-    circling, less = used[component[tails] == component[heads]], p.copy()
-    tails, heads = network.edges[circling].T
-    for cycle, least in simple_cycles(tails, heads, p[circling]):
-        less[circling[cycle]] -= least
-    return less
+    cyclic, acyclic_p = used[component[tails] == component[heads]], p.copy()
+    tails, heads = network.edges[cyclic].T
+    for cycle, flow in simple_cycles(tails, heads, p[cyclic]):
+        acyclic_p[cyclic[cycle]] -= flow
+    return acyclic_p
 
 
 def simple_cycles(tail: IndexArray, head: IndexArray,
                   flow: FloatArray) -> Iterator[tuple[IndexArray, float]]:
-    """The simple cycles, as arcs, into which ``flow`` (K,) comes apart, and the flow of each.
+    """Decompose a flow (K,) on arcs into simple cycles, and yield the arcs and flow of each.
 
-    Nodes are numbers >= 0. What is not in balance ends a walk along the arcs and is lost.
+    Nodes are numbers >= 0. Flow that is not balanced is dropped.
     """
     order = np.argsort(tail, kind='stable')
-    heads, left = head[order].tolist(), flow[order].tolist()
+    heads, remaining = head[order].tolist(), flow[order].tolist()
     nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
     first = np.searchsorted(tail[order], np.arange(nodes + 1)).tolist()
-    free, ends = first[:-1], first[1:]
+    next_arc, ends = first[:-1], first[1:]
     for start in np.unique(tail).tolist():
         walk: list[int] = []
         node, place = start, {start: 0}
         while True:
-            while free[node] < ends[node] and left[free[node]] <= 0.0:
-                free[node] += 1
-            if free[node] == ends[node]:  # nothing leads on
+            while next_arc[node] < ends[node] and remaining[next_arc[node]] <= 0.0:
+                next_arc[node] += 1
+            if next_arc[node] == ends[node]:  # a dead end
                 if not walk:
                     break
-                left[walk.pop()] = 0.0
+                remaining[walk.pop()] = 0.0
                 del place[node]
                 node = heads[walk[-1]] if walk else start
                 continue
-            walk.append(free[node])
+            walk.append(next_arc[node])
             node = heads[walk[-1]]
             if node in place:
                 cycle = walk[place[node] :]
-                least = min(left[arc] for arc in cycle)
+                least = min(remaining[arc] for arc in cycle)
                 yield order[cycle], least
                 for arc in cycle:
-                    left[arc] -= least
+                    remaining[arc] -= least
                     del place[heads[arc]]
                 del walk[len(walk) - len(cycle) :]
             place[node] = len(walk)
@@ -150,16 +150,16 @@ def is_acyclic(network: Network, p: FloatArray) -> bool:
 
 
 def order_along(network: Network, p: FloatArray) -> IndexArray | None:
-    """A number (N,) for each node that rises along the edges with p > 0; None if these circle."""
+    """Numbers (N,) of nodes that rise along the edges with p > 0; None if these form a cycle."""
     number = -_strong_components(network, p)
     tails, heads = network.edges[p > 0.0].T
     return number if (number[tails] < number[heads]).all() else None
 
 
 def _strong_components(network: Network, p: FloatArray) -> IndexArray:
-    """The strong component (N,) of each node by the edges with p > 0.
+    """Strong component (N,) of each node by the edges with p > 0; numbers fall along the edges.
 
-    scipy finds them by Tarjan's method, from the sinks up: their numbers fall along the edges.
+    scipy finds them by Tarjan's method, from the sinks up.
     """
     edges = network.edges[p > 0.0]
     graph = edge_matrix(edges, np.ones(len(edges)), len(network.points))

@@ -32,22 +32,23 @@ class EntropySearch(NamedTuple):
     """The constants of the search for the multipliers."""
 
     evaluations: int = 50  # of L-BFGS before Newton's method, and in each round after it
-    turns: int = 8  # of the two methods: limits that take more can hardly be kept, if at all
+    turns: int = 8  # of the two methods; limits that take more are hardly feasible
     newton_limits: int = 500  # that Newton's method moves at once
     newton_steps: int = 8  # most steps in these limits before the others are looked at again
-    damping: float = 1e-2  # Newton's at first, as a share of the Hessian's diagonal
-    floor: float = 1e-3  # share of its mean that is added to the diagonal for that
-    max_weight: float = 1.0 / np.finfo(float).eps  # of an edge: sums along a route lose all digits
-    max_scaled: float = 1.0 / ROUNDING  # multiplier in a line search: proves limits infeasible
+    damping: float = 1e-2  # Newton's first damping, as a share of the Hessian's diagonal
+    floor: float = 1e-3  # share of the diagonal's mean that is added to it for the damping
+    max_weight: float = 1.0 / np.finfo(float).eps  # of an edge; beyond it, sums lose all digits
+    max_scaled: float = 1.0 / ROUNDING  # of a multiplier; beyond it, limits are infeasible
 
 
 ENTROPY = EntropySearch()
 
 
 class Accuracy(NamedTuple):
-    """Stopping rule: the share by which limits may be exceeded, and the missing entropy.
+    """Stopping rule of the search.
 
-    The latter as a share of 1 + value [nats].
+    ``excess`` is the share by which limits may be exceeded, ``missing`` the missing entropy as a
+    share of 1 + the value of the dual function [nats].
     """
 
     excess: float
@@ -60,10 +61,9 @@ class _SearchEnded(Exception):
 
 @dataclass
 class GibbsStrategy:
-    """The best evaluation of the search: p (m,) and the multipliers v (R,).
+    """Best evaluation of a search: the strategy p (m,) and the multipliers v (R,).
 
-    ``violation`` is max(C p) - 1; ``infeasible`` if no strategy is known to be within the
-    limits.
+    ``violation`` is max(C p) - 1. ``infeasible`` says that no strategy is known within the limits.
     """
 
     p: FloatArray
@@ -77,10 +77,10 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatAr
                      start: FloatArray, accuracy: Accuracy, deadline: float) -> GibbsStrategy:
     """Minimise log Z(b + C' v) + sum v over v >= 0, with b = ``weights`` (m,).
 
-    Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
-    ``rows`` (R, m), and misses entropy, by no more than the ``accuracy`` allows; when the limits
-    are proved infeasible, or not kept after many turns; when the function hardly falls any more;
-    or at ``deadline`` (``time.monotonic``).
+    C is ``rows`` (R, m). Every evaluation is a strategy. The search ends when one satisfies the
+    ``accuracy`` in both the limits C p <= 1 and the entropy; when the limits are proved infeasible,
+    or not kept after many turns; when the function hardly falls any more; or at ``deadline``
+    (``time.monotonic``).
     """
     if rows.shape[0] == 0:
         _, p, _ = network.distribution(weights)
@@ -93,12 +93,12 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, weights: FloatAr
 
 
 class _DualSearch:
-    """The dual function, its least evaluation ``found``, and the methods that minimise it."""
+    """Minimisation of the dual function; ``found`` is its least evaluation."""
 
     def __init__(self, network: AcyclicNetwork, rows: csr_matrix, weights: FloatArray,
                  accuracy: Accuracy, deadline: float) -> None:
         self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
-        self.weights, self._least_possible = weights, -network.most(weights)
+        self.weights, self._least_possible = weights, -network.largest_sum(weights)
         self.accuracy, self.deadline = accuracy, deadline
         self.found, self.least, self.count = GibbsStrategy(np.empty(0), np.empty(0)), np.inf, 0
         self.p = self.share = self.gradient = np.empty(0)
@@ -107,7 +107,7 @@ class _DualSearch:
         self.unit = 1.0 / np.sqrt(np.where(portion > 0.0, portion, 1.0))
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
-        """Return value and gradient at v (R,), or end the search."""
+        """Evaluate the function and its gradient at v (R,), or end the search."""
         weights = self.weights + self.columns @ v
         if not np.abs(weights).max() < ENTROPY.max_weight:  # the line search diverges
             raise _SearchEnded
@@ -130,14 +130,14 @@ class _DualSearch:
         return value, self.gradient
 
     def run(self, start: FloatArray) -> None:
-        """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
+        """Alternate L-BFGS and Newton's method until a turn gains next to nothing."""
         self.quasi_newton(start)
-        # If evaluations gain less than this each, a round of them does not find what is missing.
-        before, gain = np.inf, self.accuracy.missing / ENTROPY.evaluations
+        # Least gain of an evaluation with which a turn of them can find the missing entropy.
+        previous, gain = np.inf, self.accuracy.missing / ENTROPY.evaluations
         for _ in range(ENTROPY.turns):
-            if self.least >= before - gain * (1.0 + abs(self.least)):
+            if self.least >= previous - gain * (1.0 + abs(self.least)):
                 break
-            before = self.least
+            previous = self.least
             self.newton()
             self.quasi_newton(self.found.multipliers)
         else:
@@ -157,31 +157,31 @@ class _DualSearch:
                       factr=0.0, pgtol=0.0, maxfun=most, maxiter=most)
 
     def newton(self) -> None:
-        """Take damped Newton steps while they gain, in a limited number of limits.
+        """Take damped Newton steps in the largest multipliers while they gain.
 
-        They are those of the largest multipliers now, or after a step in this limit alone. The
-        damping follows H. B. Nielsen, Damping parameter in Marquardt's method, Technical
-        University of Denmark, IMM-REP-1999-05, 1999.
+        These are the multipliers that are largest now, or after a step in each alone. The damping
+        follows H. B. Nielsen, Damping parameter in Marquardt's method, Technical University of
+        Denmark, IMM-REP-1999-05, 1999.
         """
         v, damping, rise = self.found.multipliers, ENTROPY.damping, 2.0
         value, gradient = self(v)
         for _ in range(ENTROPY.newton_steps):
             weight = np.maximum(v, -gradient * self.unit**2)
-            counts = np.argsort(-weight)[:ENTROPY.newton_limits]
-            counts = counts[weight[counts] > 0.0]
-            if not len(counts):
+            moved = np.argsort(-weight)[:ENTROPY.newton_limits]
+            moved = moved[weight[moved] > 0.0]
+            if not len(moved):
                 return
-            hessian = self.network.covariance(self.share, self.p, self.rows[counts])
+            hessian = self.network.covariance(self.share, self.p, self.rows[moved])
             while True:
-                step = _bounded_step(hessian, gradient[counts], v[counts], damping)
-                foreseen = -float(gradient[counts] @ step + step @ hessian @ step / 2.0)
+                step = _bounded_step(hessian, gradient[moved], v[moved], damping)
+                predicted = -float(gradient[moved] @ step + step @ hessian @ step / 2.0)
                 scale = 1.0 + abs(value)
-                if abs(foreseen) <= np.spacing(scale):
+                if abs(predicted) <= np.spacing(scale):
                     return
                 tried = v.copy()
-                tried[counts] += step
+                tried[moved] += step
                 new_value, new_gradient = self(tried)
-                ratio = (value - new_value) / foreseen if foreseen > 0.0 else -np.inf
+                ratio = (value - new_value) / predicted if predicted > 0.0 else -np.inf
                 if ratio > 0.0:
                     break
                 damping, rise = damping * rise, 2.0 * rise
@@ -204,9 +204,9 @@ def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,
             return np.zeros(len(v))
         pull = -gradient[inner] - damped[np.ix_(inner, np.flatnonzero(~free))] @ step[~free]
         step[inner] = cho_solve(factor, pull)
-        below = free & (v + step < 0.0)
-        if not below.any():
+        negative = free & (v + step < 0.0)
+        if not negative.any():
             break
-        step[below] = -v[below]
-        free &= ~below
+        step[negative] = -v[negative]
+        free &= ~negative
     return np.maximum(step, -v)

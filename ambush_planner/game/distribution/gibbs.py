@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Gibbs distribution of routes: the strategy of greatest route entropy within given limits.
+"""The Gibbs distribution of routes on an acyclic network: of greatest entropy within given limits.
 
-On an acyclic network, a weight c_e for every edge e defines the probability of each route:
+Weights c_e of the edges e define the probability of each route:
 
     P(route) = exp(-sum of c_e over its edges) / Z.
 
-With Z_i = sum over edges i->k of exp(-c_ik) Z_k and Z_target = 1, it is the Markov chain that goes
-from i to k with probability exp(-c_ik) Z_k / Z_i. It takes one backward and one forward pass over
-the edges in topological order (M. Saerens et al., *Randomized shortest-path problems*, Neural
+With Z_i = sum over edges i->k of exp(-c_ik) Z_k and Z_target = 1, this is the Markov chain that
+goes from i to k with probability exp(-c_ik) Z_k / Z_i. It takes one backward and one forward pass
+over the edges in topological order (M. Saerens et al., *Randomized shortest-path problems*, Neural
 Computation 21, 2009; also known as maximum causal entropy).
 """
 
@@ -25,17 +25,17 @@ from .triangular import Recursion
 
 # Partition functions below this, or above its inverse, are scaled by their logarithms.
 TINY = float(np.finfo(float).tiny / np.finfo(float).eps)
-# Right sides of one triangular solve: bounds its memory, and they stay in the processor's cache.
+# Right sides of one triangular solve: few enough to stay in the processor's cache.
 CHUNK = 32
 
 
 class AcyclicNetwork:
-    """Edges of an acyclic network in topological order, sorted by (tail, head).
+    """Acyclic network of m edges, sorted by the topological positions of tail and head.
 
-    ``tail`` and ``head`` (m,) are positions of nodes in the order; the source is 0 and the target
-    is the last one. ``edge`` (m,) are the indices of the edges in the whole network. The legs of a
-    trip follow each other: the next one begins where one ends, ``starts`` (legs,) are the positions
-    there. So one chain draws all legs, independently.
+    ``tail`` and ``head`` (m,) are such positions, from 0 at the source to n - 1 at the target;
+    ``edge`` (m,) are the numbers of the edges in the whole network. The legs of a trip are put in
+    series: the target of each is the source of the next, at the positions ``starts`` (legs,). So
+    one chain draws all legs, independently.
     """
 
     def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray,
@@ -49,18 +49,18 @@ class AcyclicNetwork:
         self.backwards = Recursion(last - tail, last - head, self.count)
 
     def part(self, used: IndexArray) -> AcyclicNetwork:
-        """The network of some edges (K,), which every route of them leads through all legs."""
+        """Return the network of the edges ``used`` (K,), on which all legs keep a route."""
         tail, head = self.tail[used], self.head[used]
         nodes = np.unique((tail, head))
         tail, head, starts = (np.searchsorted(nodes, each) for each in (tail, head, self.starts))
         return AcyclicNetwork(tail, head, self.edge[used], starts.tolist())
 
     def columns(self, rows: csr_matrix) -> csr_matrix:
-        """The columns (K, m) of these edges, of rows (K, M) over the whole network's edges."""
+        """Select these edges' columns (K, m) from rows (K, M) over the whole network's edges."""
         return csr_matrix(rows[:, self.edge])
 
     def by_leg(self, rows: csr_matrix) -> csr_matrix:
-        """Rows (K * legs, m): each of the rows (K, m) leg by leg."""
+        """Split each of the rows (K, m) by leg: rows (K * legs, m)."""
         legs = len(self.starts)
         if legs == 1:
             return rows
@@ -72,8 +72,8 @@ class AcyclicNetwork:
     def distribution(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
 
-        The partition function is scaled by the previous evaluation's; where that overflows, its
-        logarithm is computed first.
+        The partition function is scaled by that of the previous evaluation; if it overflows all the
+        same, its logarithm is computed first.
         """
         scaled = self._scaled_partition(weights)
         if scaled is None:
@@ -95,15 +95,15 @@ class AcyclicNetwork:
         return float(self._log_scale[0]), p, share
 
     def covariance(self, share: FloatArray, p: FloatArray, costs: csr_matrix) -> FloatArray:
-        """Covariance (K, K) of the costs of a route; the rows of ``costs`` (K, m) add up along it.
+        """Covariance (K, K) of a route's costs, which are sums of ``costs`` (K, m) of its edges.
 
-        Rows j and k are met one after the other, first on edge e and then on edge f, with the
+        The product of two costs is a sum over pairs of edges: e and then f are both driven with the
         probability p_e times that of reaching f from the head of e. One forward pass for each row
-        adds these up.
+        sums these.
         """
-        count, every = costs.shape[0], np.arange(len(p))
-        entering = csr_matrix((p, (self.head, every)), shape=(self.count, len(p)))
-        leaving = csr_matrix((share, (self.tail, every)), shape=(self.count, len(p)))
+        count, edge = costs.shape[0], np.arange(len(p))
+        entering = csr_matrix((p, (self.head, edge)), shape=(self.count, len(p)))
+        leaving = csr_matrix((share, (self.tail, edge)), shape=(self.count, len(p)))
         met, onward = (entering @ costs.T).tocsc(), (costs @ leaving.T).tocsr()
         covariance, mean = np.empty((count, count)), costs @ p
         for begin in range(0, count, CHUNK):
@@ -129,28 +129,28 @@ class AcyclicNetwork:
         good = np.isfinite(partition).all() and partition[0] > TINY and partition.max() < 1.0 / TINY
         return (factor, partition) if good else None
 
-    def most(self, weights: FloatArray) -> float:
-        """The largest sum of weights (m,) along a route."""
+    def largest_sum(self, weights: FloatArray) -> float:
+        """Return the largest sum of weights (m,) along a route."""
         if not weights.any():
             return 0.0
-        most = np.zeros(self.count)
+        largest = np.zeros(self.count)
         for nodes, edges, first in self._layers:
-            most[nodes] = np.maximum.reduceat(most[self.head[edges]] + weights[edges], first)
-        return float(most[0])
+            largest[nodes] = np.maximum.reduceat(largest[self.head[edges]] + weights[edges], first)
+        return float(largest[0])
 
     def _log_partition(self, weights: FloatArray) -> FloatArray:
-        """log Z_i (n,) of any size, as sums of logarithms from the target backwards."""
+        """log Z_i (n,) of any size, by sums of logarithms from the target backwards."""
         log_z = np.zeros(self.count)
         for nodes, edges, first in self._layers:
-            ways = log_z[self.head[edges]] - weights[edges]
-            log_z[nodes] = np.logaddexp.reduceat(ways, first)
+            terms = log_z[self.head[edges]] - weights[edges]
+            log_z[nodes] = np.logaddexp.reduceat(terms, first)
         return log_z
 
     @cached_property
     def _layers(self) -> list[tuple[IndexArray, IndexArray, IndexArray]]:
         """Layers of nodes by the largest number of edges on a way to the target.
 
-        Each layer has its nodes, the edges out of them, and where each node's edges begin.
+        Each has its nodes, the edges out of them, and the place at which each node's edges begin.
         """
         into = np.argsort(self.head, kind='stable')
         first_into = np.searchsorted(self.head[into], np.arange(self.count + 1))
@@ -168,7 +168,7 @@ class AcyclicNetwork:
 
 
 def acyclic_network(network: Network, edge: IndexArray, position: IndexArray) -> AcyclicNetwork:
-    """The edges ``edge`` (m,), with nodes in the topological order ``position`` (N,)."""
+    """Make the network of the edges ``edge`` (m,), in the topological order ``position`` (N,)."""
     used = np.unique(network.edges[edge])
     nodes = used[np.argsort(position[used], kind='stable')]
     place = np.full(len(network.points), -1)
@@ -179,19 +179,19 @@ def acyclic_network(network: Network, edge: IndexArray, position: IndexArray) ->
 
 
 def in_series(legs: Sequence[AcyclicNetwork], first: IndexArray) -> AcyclicNetwork:
-    """The acyclic networks of legs, one after the other; edges are numbered from ``first`` on."""
+    """Put the acyclic networks of legs in series; their edges are numbered from ``first`` on."""
     if len(legs) == 1:
         return legs[0]
     starts = np.cumsum([0, *(leg.count - 1 for leg in legs[:-1])])
     return AcyclicNetwork(
-        np.concatenate([leg.tail + at for leg, at in zip(legs, starts, strict=True)]),
-        np.concatenate([leg.head + at for leg, at in zip(legs, starts, strict=True)]),
-        np.concatenate([leg.edge + at for leg, at in zip(legs, first, strict=False)]),
+        np.concatenate([leg.tail + start for leg, start in zip(legs, starts, strict=True)]),
+        np.concatenate([leg.head + start for leg, start in zip(legs, starts, strict=True)]),
+        np.concatenate([leg.edge + edge for leg, edge in zip(legs, first, strict=False)]),
         starts.tolist())
 
 
 def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """The concatenated ranges from begin (K,) to end (K,), and where each range starts."""
+    """Concatenate the ranges from begin (K,) to end (K,); returns also each range's place (K,)."""
     lengths = end - begin
     start = np.cumsum(lengths) - lengths
     return np.arange(lengths.sum()) + np.repeat(begin - start, lengths), start

@@ -19,7 +19,7 @@ except ImportError:  # it is private, a version of scipy may lack it or, see bel
 
 
 class Recursion:
-    """The pattern of a strictly lower triangular matrix A (n, n), entry by entry.
+    """Pattern of a strictly lower triangular matrix A (n, n), given by the places of its entries.
 
     ``order`` sorts the entries by row.
     """
@@ -30,20 +30,23 @@ class Recursion:
         self._first = np.searchsorted(row[self.order], np.arange(n + 1)).astype(np.intc)
 
     def solve(self, entries: FloatArray, right: FloatArray) -> FloatArray:
-        """y = right + A y, for ``right`` (n,) or (n, R), which may be overwritten."""
+        """Solve y = right + A y, for ``right`` (n,) or (n, R), which may be overwritten."""
         y = np.ascontiguousarray(right)
         self.add_rows(entries[self.order], y, 0, len(y))
         return y
 
     def add_rows(self, entries: FloatArray, y: FloatArray, begin: int, end: int) -> None:
-        """Add the rows ``begin`` to ``end`` - 1 of A y to y, one by one; entries sorted by row."""
+        """Add the rows ``begin`` to ``end`` - 1 of A y to y, one by one.
+
+        ``entries`` are those of all rows, sorted by row.
+        """
         if csr_matvecs:
             csr_matvecs(end - begin, len(y), y.size // len(y), self._first[begin : end + 1],
                         self._column, entries, y.ravel(), y[begin:end].ravel())
             return
         for row in range(begin, end):
-            some = slice(self._first[row], self._first[row + 1])
-            y[row] += entries[some] @ y[self._column[some]]
+            own = slice(self._first[row], self._first[row + 1])
+            y[row] += entries[own] @ y[self._column[own]]
 
 
 def _goes_by_rows() -> bool:

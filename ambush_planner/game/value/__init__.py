@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least value, and an ambusher who proves it: by a cut, face potentials, or whole routes.
+"""Programs for the least value, with an ambusher's strategy that certifies it.
 
-``linear_program`` has the paper's own LPs.
+They are the master problems of constraint generation: sites are added when they are violated.
 """

@@ -30,7 +30,7 @@ INTEGER_FLOW = (np.iinfo(np.int32).max + 1) / 2**2
 
 @dataclass(frozen=True, eq=False)
 class CutSolution:
-    """Value z, an acyclic optimal strategy p (M,), and the ambusher's q (N,) if z > 0."""
+    """Value z, an acyclic optimal strategy p (M,), and the ambusher's q (N,), 0 if z is 0."""
 
     value: float
     p: FloatArray
@@ -38,7 +38,7 @@ class CutSolution:
 
 
 def solve_by_min_cut(game: Game) -> CutSolution:
-    """Solve the game of one leg without a reach and without a budget by a minimum node cut.
+    """Solve the game of one leg without a reach or a budget by a maximum flow and a minimum cut.
 
     Raises SolverFailed if the game has a reach.
     """
@@ -51,25 +51,25 @@ def solve_by_min_cut(game: Game) -> CutSolution:
 
 
 def _solve_by_rounds(game: Game) -> CutSolution:
+    """Augment an integer flow at finer and finer scales, until it is exact in floating point."""
     split = _SplitNetwork(game)
     # All sites together are a cut, as no route avoids them all.
     flow, sites = np.zeros(len(split.edge)), game.loss > 0.0
-    bound, best = float((1.0 / game.loss[sites]).sum()), (np.inf, sites)
+    best, best_cut = float((1.0 / game.loss[sites]).sum()), sites
     for _ in range(ROUNDS):
         total = split.total(flow)
-        flow, cut = split.augment(flow, INTEGER_FLOW / (bound - total))
+        flow, cut = split.augment(flow, INTEGER_FLOW / (best - total))
         capacity = float((1.0 / game.loss[cut]).sum())
-        if capacity < best[0]:
-            best = capacity, cut
-        bound = best[0]
-        if split.feasible_total(flow) >= bound * (1.0 - NO_FLOW) or bound <= split.total(flow):
+        if capacity < best:
+            best, best_cut = capacity, cut
+        if split.feasible_total(flow) >= best * (1.0 - NO_FLOW) or best <= split.total(flow):
             break
     p = np.zeros(len(game.network.edges))
     p[split.edge] = flow
     p = without_cycles(game.network, p)
     p /= p[game.network.tails == game.network.source].sum()
-    cut, q = best[1], np.zeros(game.node_count)
-    q[cut] = 1.0 / game.loss[cut]
+    q = np.zeros(game.node_count)
+    q[best_cut] = 1.0 / game.loss[best_cut]
     return CutSolution(float(1.0 / q.sum()), p, q / q.sum())
 
 
@@ -108,14 +108,14 @@ class _SplitNetwork:
         return x[self.node]
 
     def feasible_total(self, flow: FloatArray) -> float:
-        """Size of the flow once it is scaled to respect every capacity in floating point."""
+        """Size of the flow after it is scaled to respect every capacity in floating point."""
         overload = float((self.visits(flow) / self._capacity).max(initial=0.0))
         return self.total(flow) / max(overload, 1.0)
 
     def augment(self, flow: FloatArray, scale: float) -> tuple[FloatArray, BoolArray]:
-        """Add a maximum flow of the residual network, capacities scaled to integers.
+        """Add a maximum flow of the residual network, whose capacities are scaled to integers.
 
-        Returns the new flow and the nodes (N,) of a minimum cut of the scaled residual network.
+        Returns the new flow, and the nodes (N,) of a minimum cut of the scaled residual network.
         """
         network, n, m = self.game.network, self.game.node_count, len(self.edge)
         x = self.visits(flow)
@@ -132,13 +132,8 @@ class _SplitNetwork:
         gained = pushed.data[self._place[:m]] / scale
         residual = (graph - pushed).tocsr()
         residual.eliminate_zeros()
-        return np.maximum(flow + gained, 0.0), self._cut(residual)
-
-    def _cut(self, residual: csr_matrix) -> BoolArray:
-        """Nodes (N,) whose entry is reachable in the residual network but whose exit is not."""
-        network, n = self.game.network, self.game.node_count
         reached = np.zeros(2 * n, dtype=bool)
         reached[breadth_first_order(residual, n + network.source, return_predecessors=False)] = True
-        cut = reached[:n] & ~reached[n:]
+        cut = reached[:n] & ~reached[n:]  # the entry can be reached, the exit cannot
         cut[[network.source, network.target]] = False
-        return cut
+        return np.maximum(flow + gained, 0.0), cut

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The least value of legs if every entry into a site's reach is a hit: a linear program in edges.
 
-    minimise z   subject to   loss at site j of the entries of all legs <= z,
+    minimise z   subject to   alpha_j times the entries of all legs at site j <= z,
                               a unit flow for each leg, within its length budget.
 
-Entries are hits where simple routes enter a site's reach at most once: without a reach.
+Entries are hits if simple routes enter a site's reach at most once: without a reach.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .linear_program import ORDINARY, conservation
 
 
 class EdgeFlows:
-    """The LP of all legs: until it is solved, its strategies are the shortest routes."""
+    """LP in the edges of all legs; until it is solved, its strategies are the shortest routes."""
 
     def __init__(self, legs: Legs, gap: float) -> None:
         self._legs, self._gap, self.bound = legs, gap, 0.0
@@ -43,7 +43,7 @@ class EdgeFlows:
         """Do nothing: all sites are nodes of the network."""
 
     def solve_by_max_flow(self) -> bool:
-        """Solve it for a single leg by a maximum flow, if that keeps the budget."""
+        """Solve it for a single leg by a maximum flow; return whether that keeps the budget."""
         (game,), (budget,) = self._legs.games, self._legs.budgets
         cut = solve_by_min_cut(game)
         self._solved = budget.keeps(cut.p)
@@ -71,8 +71,8 @@ class EdgeFlows:
             unit *= max(value, NEGLIGIBLE)
         p, found = np.zeros(legs.edge_count), []
         p[edges] = result.x[:-1]
-        for game, own in zip(legs.games, legs.split(p), strict=True):
-            conserved = conserved_strategy(game, own, NEGLIGIBLE)
+        for game, leg_p in zip(legs.games, legs.split(p), strict=True):
+            conserved = conserved_strategy(game, leg_p, NEGLIGIBLE)
             assert conserved is not None
             found.append(conserved)
         self._use(found)
@@ -86,7 +86,7 @@ class EdgeFlows:
         self.bound, self._solved = float(lower_bounds(legs, ambusher).sum()), True
 
     def _linear_program(self, unit: float) -> tuple[highs.LP, np.ndarray]:
-        """The LP in (p, z / unit), and the edges whose p it has."""
+        """Build the LP in (p, z / unit); returns also the edges (m,) of p."""
         legs, count = self._legs, len(self._legs.games)
         edges = np.flatnonzero(np.concatenate([game.playable for game in legs.games]))
         flows, nodes = zip(*map(conservation, legs.games), strict=True)

@@ -3,8 +3,8 @@
 
     minimise cost' x   subject to   least <= A x <= most,   low <= x <= high
 
-Each solve goes on from the basis of the last one: columns that join keep it feasible for the primal
-simplex method, rows for the dual one.
+Each solve starts from the basis of the previous one. It stays feasible for the primal simplex
+method when columns are added, and for the dual simplex method when rows are.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _OPTIONS: dict[str, Any] = {
     'output_flag': False, 'threads': 1, 'solver': 'simplex', 'presolve': 'off',
     'simplex_primal_edge_weight_strategy': 1,
 }
-# HiGHS' simplex methods: one that fits the basis, or the primal one.
+# HiGHS' simplex methods: the one that suits the basis, or the primal one.
 ANY_SIMPLEX, PRIMAL_SIMPLEX = 0, 4
 
 
 class Solution(NamedTuple):
-    """x (columns,), the duals of the rows, and the cost."""
+    """Solution of a program: ``x`` (columns,), the ``duals`` (rows,), and the cost."""
 
     x: FloatArray
     duals: FloatArray
@@ -41,9 +41,10 @@ class Solution(NamedTuple):
 
 @cache
 def quiet_model() -> Any:
-    """The class that ``highspy.Highs`` extends, which does not greet on the standard output.
+    """Return the base class of ``highspy.Highs``, which prints no banner to the standard output.
 
-    ``highspy.Highs`` itself if that class has changed: it must find x of three equations.
+    If a later version has changed it, so that it does not solve three equations, return
+    ``highspy.Highs`` itself.
     """
     import highspy
 
@@ -69,7 +70,7 @@ def _set_options(model: Any, options: dict[str, Any]) -> None:
 
 
 class GrowingProgram:
-    """The program; rows and columns are numbered as they come."""
+    """The program; rows and columns are numbered in the order in which they are added."""
 
     def __init__(self, simplex: int, tolerance: float) -> None:
         import highspy
@@ -119,7 +120,7 @@ class GrowingProgram:
 
 
 def _by_rows(entries: csr_matrix) -> tuple[int, IndexArray, IndexArray, FloatArray]:
-    """Number of entries, and the arrays of a matrix by rows, as HiGHS takes them."""
+    """Number of entries and the arrays of a matrix by rows, as HiGHS takes them."""
     return (entries.nnz, entries.indptr[:-1].astype(np.int32), entries.indices.astype(np.int32),
             entries.data.astype(np.float64))
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HiGHS through scipy, with the workarounds that its versions need."""
+"""HiGHS through scipy, with workarounds for its versions."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 OPTIMAL, LIMIT_REACHED, INFEASIBLE = 0, 1, 2  # greater: unbounded, or numerical trouble
-# Values of ipm_optimality_tolerance, tried in turn, but none finer than requested: one finer than
-# HiGHS' default of 1e-8, and a coarser one.
+# Values of ipm_optimality_tolerance to try in turn, none finer than requested: one is finer than
+# HiGHS' default of 1e-8, the other coarser.
 OPTIMALITY = (1e-11, 1e-7)
 # HiGHS' primal and dual feasibility tolerances, as a share of a rough precision.
-OF_PRECISION = 2e-6
+FEASIBILITY = 2e-6
 
 
 @dataclass(frozen=True, eq=False)
 class LP:
-    """Minimise cost' v with ``inequalities v <= limits``, ``equalities v = rhs`` and v >= 0.
+    """Linear program: minimise cost' v, ``inequalities v <= limits``, ``equalities v = rhs``.
 
-    ``bounds`` (variables, 2), least and most, replace v >= 0.
+    v >= 0, unless ``bounds`` (variables, 2) are given.
     """
 
     cost: FloatArray
@@ -45,12 +45,11 @@ def run(lp: LP, solver: str, deadline: float, presolve: bool = True,
         precision: float = OPTIMALITY[0]) -> OptimizeResult:
     """Solve by 'interior_point' (without crossover) or 'simplex' until ``deadline``.
 
-    ``presolve`` is the first choice of the interior point method; without it HiGHS ends in an
-    unknown state less often on flow LPs. ``precision`` is the relative gap at which it ends.
-    Returns scipy's result, with status ``OPTIMAL`` or ``INFEASIBLE``; raises TimeLimit or
-    SolverFailed.
+    The interior point method ends at the relative gap ``precision``; it tries first with or without
+    ``presolve``: on flow LPs, HiGHS ends in an unknown state less often without. Returns scipy's
+    result, with status ``OPTIMAL`` or ``INFEASIBLE``; raises TimeLimit or SolverFailed.
     """
-    tolerance = max(ROUNDING, OF_PRECISION * precision)
+    tolerance = max(ROUNDING, FEASIBILITY * precision)
     options: dict[str, Any] = {'primal_feasibility_tolerance': tolerance,
                                'dual_feasibility_tolerance': tolerance}
     left = deadline - time.monotonic()
@@ -71,7 +70,7 @@ def run(lp: LP, solver: str, deadline: float, presolve: bool = True,
 
 def run_either(lp: LP, first: str, deadline: float, presolve: bool = True,
                precision: float = OPTIMALITY[0]) -> OptimizeResult:
-    """Solve by the ``first`` solver, and by the other one if HiGHS ends in an unknown state."""
+    """Solve by the ``first`` solver, or by the other one if HiGHS ends in an unknown state."""
     try:
         return run(lp, first, deadline, presolve, precision)
     except SolverFailed:
@@ -83,9 +82,11 @@ def _interior_point(lp: LP, options: dict[str, Any], presolve_first: bool,
                     precision: float) -> OptimizeResult:
     """Run without crossover; if HiGHS ends in an unknown state, try other tolerances.
 
-    HiGHS 1.2 (scipy 1.11) also ends so when its presolve removes everything.
+    HiGHS 1.2 (scipy 1.11) also does so if its presolve removes everything.
     """
-    options = {**options, 'run_crossover': _no_crossover()}
+    major, minor = (int(part) for part in scipy.__version__.split('.')[:2])
+    no_crossover = False if (major, minor) < (1, 15) else 'off'
+    options = {**options, 'run_crossover': no_crossover}
     for presolve in (presolve_first, not presolve_first):
         for tolerance in sorted({max(precision, each) for each in OPTIMALITY}):
             tried = {'presolve': presolve, 'ipm_optimality_tolerance': tolerance}
@@ -109,8 +110,3 @@ def _linprog(lp: LP, method: str, options: dict[str, Any]) -> OptimizeResult:
                        b_ub=lp.limits if constrained else None, A_eq=lp.equalities,
                        b_eq=lp.rhs, bounds=lp.bounds, method=method, options=options)
 
-
-def _no_crossover() -> bool | str:
-    """The value of run_crossover: a bool before scipy 1.15, then a string."""
-    major, minor = (int(part) for part in scipy.__version__.split('.')[:2])
-    return False if (major, minor) < (1, 15) else 'off'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's linear program (its equation 6), solved by HiGHS through scipy."""
+"""The paper's linear program (its equation 6), by HiGHS through scipy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..game import Game
 from ..hits import entry_value
 from ..legs import Legs
 from ..route_sampler import shortest_route_strategy
-from ..strategy import Strategy, StrategyOptions, make_strategies, within_slack
+from ..strategy import Strategy, StrategyOptions, make_strategies, within_tolerance
 from ..tolerance import ROUNDS
 from . import highs
 from .cut import solve_by_min_cut
@@ -28,18 +28,18 @@ from .cut import solve_by_min_cut
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
-# Upper limit of a node's visits where its loss is so small that its row does not matter.
+# Upper limit of a node's visits in units of z: rows of negligible losses are kept in range.
 MAX_VISITS = 1.0 / NEGLIGIBLE
-# Values up to this many times larger or smaller than the unit of loss are solved in this unit.
+# Largest ratio, either way, of the value to the unit of loss in which the LP is solved.
 ORDINARY = 1e2
 
 
 @dataclass(frozen=True, eq=False)
 class LinearProgram(highs.LP):
-    """The LP in v = (p, z'), with p on the playable edges ``edge`` (m,), and z' = z / unit.
+    """The paper's LP in v = (p, z'), with p on the playable edges ``edge`` (m,) and z' = z / unit.
 
-    The rows of ``inequalities`` are ``sum p into j - z' unit / alpha_j <= 0`` for each site and,
-    if a budget is set, ``l' p <= budget``.
+    The rows of ``inequalities`` are ``sum p into j - z' unit / alpha_j <= 0`` for each site j and,
+    with a budget, ``l' p <= budget``.
     """
 
     edge: IndexArray
@@ -47,7 +47,7 @@ class LinearProgram(highs.LP):
 
 
 def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
-    """Rows of ``A`` over the playable edges, and their nodes.
+    """Return the rows of ``A`` over the playable edges, and the node of each.
 
     The target's row follows from the others and is omitted.
     """
@@ -86,66 +86,63 @@ def linear_program_strategy(game: Game, options: StrategyOptions, length: Budget
                             deadline: float) -> Strategy:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
-    The budget's row is added only if the solution without it is too long; otherwise the LP is
-    the paper's own. With a length weight, the budget is the solution's own expected length. Raises
-    BudgetInfeasible, TimeLimit or SolverFailed as HiGHS reports.
+    The budget's row is added only if the solution without it is too long; otherwise the LP is the
+    paper's own. With a length weight, the budget is the solution's own expected length. Raises
+    BudgetInfeasible, TimeLimit or SolverFailed.
     """
     whole, solver, length_weight = game, options.solver, options.length_weight
     if length_weight == 0.0:
-        game = _avoiding_all_sites(game, length) or game
-    lp = linear_program(game, length_weight, np.inf, _loss_unit(game))
+        # If a route within the budget avoids all sites, the value is exactly 0; on all edges,
+        # rounding would decide.
+        safe = game.avoiding(game.entering)
+        game = safe if safe and length.keeps(shortest_route_strategy(safe)) else game
+    # An interior point method's result depends on the unit of loss: 1 as in the paper, unless the
+    # value is far from 1.
+    value = solve_by_min_cut(game).value if game.reach == 0.0 else 0.0
+    value = value or float(game.loss.max(initial=0.0)) or 1.0
+    unit = 1.0 if 1.0 / ORDINARY < value < ORDINARY else value
+    lp = linear_program(game, length_weight, np.inf, unit)
     result = _run(lp, solver, deadline)
     lengths = game.network.travel_costs
     row_added = lengths[lp.edge] @ result.x[:-1] > length.limit * (1.0 + BUDGET_TOLERANCE)
     if row_added:
         lp, result = _within_budget(game, solver, length, length_weight, deadline)
     p = np.zeros(len(lengths))
-    p[lp.edge] = _conserved(lp, np.maximum(result.x[:-1], 0.0))
+    p[lp.edge] = _conserve(lp, np.maximum(result.x[:-1], 0.0))
     price = length_weight / lp.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     q, price = _ambusher(game, lp, result, price)
     if row_added and length_weight == 0.0 and _leaves_no_margin(length):
-        price = _best_price(game, q, length, price)
-    own = replace(length, limit=float(p @ lengths))
+        # At the LP's price, routes over edges that are on no shortest route would lower the bound.
+        # At this one, the shortest of them already pays all that it could save.
+        longer = length.reduced_cost[length.reduced_cost > ROUNDING * length.limit]
+        high = entry_value(game, shortest_route_strategy(game)) / longer.min(initial=np.inf)
+        price = max((price, float(high)), key=lambda each: entry_bound(game, length, q, each))
+    own_length = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or length.keeps(p))
-    legs, ambusher = Legs((whole,), (length if limited else own,)), Ambusher(q, (price,))
+    legs, ambusher = Legs((whole,), (length if limited else own_length,)), Ambusher(q, (price,))
     (found,) = make_strategies(legs, p, [None], ambusher, lower_bounds(legs, ambusher),
                                iterations=int(result.nit)).legs
-    if within_slack(found, options):
+    if within_tolerance(found, options):
         return found
     return replace(found, reason='solver' if game.no_reentry else 'stalled')
 
 
-def _avoiding_all_sites(game: Game, length: Budget) -> Game | None:
-    """The game on the edges that no ambush hits, if it has a route within the budget.
-
-    Its value is exactly 0; on all edges, rounding would decide.
-    """
-    safe = game.avoiding(game.entering)
-    return safe if safe and length.keeps(shortest_route_strategy(safe)) else None
-
-
-def _loss_unit(game: Game) -> float:
-    """The unit of loss: 1 as in the paper, or a loss near the value if that is far from 1.
-
-    The optimum at which an interior point method stops depends on the unit.
-    """
-    value = solve_by_min_cut(game).value if game.reach == 0.0 else 0.0
-    value = value or float(game.loss.max(initial=0.0)) or 1.0
-    return 1.0 if 1.0 / ORDINARY < value < ORDINARY else value
-
 
 def _leaves_no_margin(budget: Budget) -> bool:
-    """Return whether only the best routes fit: then no interior point is feasible."""
+    """Return whether only shortest routes are within the budget: then the LP has no interior."""
     return budget.margin <= ROUNDING * budget.limit
 
 
 def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
-    """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
+    """Solve with the budget's row; lower the unit from the shortest route's loss to the value.
+
+    Without a margin, only the edges of shortest routes remain.
+    """
     unit = entry_value(game, shortest_route_strategy(game)) or 1.0
     if length_weight == 0.0 and _leaves_no_margin(length):
-        near = game.least_weights(length.reduced_cost) <= ROUNDING * length.limit
-        game = game.restricted_to(near) or game
+        shortest = game.least_weights(length.reduced_cost) <= ROUNDING * length.limit
+        game = game.restricted_to(shortest) or game
     for _ in range(ROUNDS):
         lp = linear_program(game, length_weight, length.limit, unit)
         result = _run(lp, solver, deadline)
@@ -156,8 +153,8 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
     return lp, result
 
 
-def _conserved(lp: LinearProgram, p: FloatArray) -> FloatArray:
-    """Make p satisfy ``A p = b`` to rounding by small relative changes; HiGHS stops near 1e-8."""
+def _conserve(lp: LinearProgram, p: FloatArray) -> FloatArray:
+    """Make p satisfy ``A p = b`` up to rounding by small relative changes; HiGHS stops at 1e-8."""
     rows = lp.equalities[:, :-1]
     for _ in range(ROUNDS):
         missing = lp.rhs - rows @ p
@@ -171,25 +168,14 @@ def _conserved(lp: LinearProgram, p: FloatArray) -> FloatArray:
 
 def _ambusher(game: Game, lp: LinearProgram, result: OptimizeResult,
               price: float) -> tuple[FloatArray, float]:
-    """q (N,) and the price of length, from the duals of the sites' rows."""
+    """Scale the duals of the sites' rows to q (N,), and the price of length with them."""
     loss = game.loss[game.sites]
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]
-    # The row of a loss far below the unit never binds: its dual is rounding.
+    # The row of a loss far below the unit is never tight: its dual is rounding.
     duals = np.where(loss * MAX_VISITS > lp.unit, duals / loss, 0.0)
     total = float(duals.sum())
     return at_nodes(game, duals), max(price / total, 0.0) if total > 0.0 else 0.0
 
-
-def _best_price(game: Game, q: FloatArray, length: Budget, price: float) -> float:
-    """A price of the length at which q (N,) proves more than at the LP's.
-
-    Without one, routes over edges that are no shortest ones would lower the bound: the least of
-    these costs a route all that it could save.
-    """
-    longer = length.reduced_cost[length.reduced_cost > ROUNDING * length.limit]
-    enough = entry_value(game, shortest_route_strategy(game)) / longer.min(initial=np.inf)
-    return max((price, float(enough)),
-               key=lambda each: entry_bound(game, length, q, each))
 
 
 def _run(lp: LinearProgram, solver: str, deadline: float) -> OptimizeResult:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The restricted master problem: the best mixture of the known routes of each leg.
 
-    minimise z   subject to   mean loss at site j, added up over the legs, <= z,
+    minimise z   subject to   mean loss at site j, summed over the legs, <= z,
                               mean used margin of each leg's length budget <= 1,
-                              the shares of each leg's routes add up to 1,
+                              the shares of each leg's routes sum to 1.
 
-each route hit once by each site. The duals are the ambusher's strategy, the prices of the budgets,
-and what a route of each leg costs at the optimum. The program stays in HiGHS' memory: routes join
-as columns, and sites as rows once a mixture's losses there come near the value.
+A site hits a route at most once. The duals are the ambusher's strategy, the prices of the budgets,
+and the cost of each leg's routes in use. The LP stays in HiGHS' memory: routes are added as
+columns, and sites as rows once a mixture's losses there come near the value.
 """
 
 from __future__ import annotations
@@ -23,18 +23,17 @@ from ..distribution.chain import RouteMixture
 from . import highs
 from .growing_program import ANY_SIMPLEX, GrowingProgram
 
-# Share of the largest loss from which on sites join the program.
+# Share of the largest mean loss from which on sites are added to the LP.
 NEAR = 0.95
-# Share of the program's unit below which the value becomes its unit: the solver's tolerances are
-# relative to that.
+# Share of the LP's unit below which the value becomes its unit, since tolerances are relative.
 SMALL = 0.1
 
 
 class Mixture(NamedTuple):
-    """Shares (C,) of the routes, and the duals.
+    """Solution of the master LP: ``shares`` (C,) of the routes, and the duals.
 
-    These are the ambusher's q (S,), the prices (legs,) of the budgets' margins, and the costs
-    (legs,) of the routes that are used.
+    These are the ambusher's q (S,), the ``prices`` (legs,) of the whole margins, and the ``costs``
+    (legs,) of the routes in use.
     """
 
     shares: FloatArray
@@ -44,9 +43,9 @@ class Mixture(NamedTuple):
 
 
 def mixture_lp(hit: csr_matrix, leg: IndexArray, used: FloatArray) -> highs.LP:
-    """The LP in the shares of columns (C,), each of a leg, and z.
+    """Build the master LP in the shares of columns (C,), each of a ``leg``, and z.
 
-    ``hit`` (S, C) is their loss at each site, ``used`` (C,) what they take of their leg's budget.
+    ``hit`` (S, C) are their losses at the sites, ``used`` (C,) their shares of the leg's budget.
     """
     (rows, count), legs = hit.shape, int(leg.max()) + 1
     one = csr_matrix((np.ones(count), (leg, np.arange(count))), (legs, count + 1))
@@ -57,7 +56,7 @@ def mixture_lp(hit: csr_matrix, leg: IndexArray, used: FloatArray) -> highs.LP:
 
 
 class _Column(NamedTuple):
-    """A route of a leg, given by its edges, the sites that it meets, and the margin it uses."""
+    """A route of a leg as edges, with the sites that hit it and the margin that it uses."""
 
     route: IndexArray
     leg: int
@@ -66,17 +65,17 @@ class _Column(NamedTuple):
 
 
 class Mixtures:
-    """The routes that are known, each of one of ``legs``, and the losses (S,) at the sites."""
+    """The known routes, each of one of ``legs``, with the master LP over them."""
 
     def __init__(self, legs: int) -> None:
         self.loss, self._legs = np.zeros(0), legs
         self._columns: list[_Column] = []
         self._known: set[bytes] = set()
-        # The program has z in this unit, and these sites.
+        # Unit of z in the LP, and the sites that have rows.
         self._unit, self._sites = math.inf, np.zeros(0, dtype=np.int64)
 
     def add(self, route: IndexArray, leg: int, met: IndexArray, used_margin: float) -> bool:
-        """Add a route, given by its edges, and the sites that it meets; return if it is new."""
+        """Add a route, given by its edges and the sites that hit it; return whether it is new."""
         key = route.tobytes()
         if key in self._known:
             return False
@@ -93,17 +92,17 @@ class Mixtures:
             self._columns[k] = each._replace(met=np.append(each.met, more))
 
     def value(self, shares: FloatArray) -> float:
-        """The largest mean loss that a site causes a mixture with the given shares."""
+        """Return the value of the mixture with given shares."""
         return float(self._losses(shares).max(initial=0.0))
 
     def law(self, shares: FloatArray) -> RouteMixture:
-        """The routes, drawn with their shares."""
-        known = self._columns[: len(shares)]  # routes may have joined since
+        """Return the law of the routes with given shares."""
+        known = self._columns[: len(shares)]  # routes may have been added since
         return RouteMixture([each.route for each in known], shares,
                             np.array([each.leg for each in known]))
 
     def solve(self, deadline: float = math.inf) -> Mixture:
-        """The mixture of least value, a vertex of the program.
+        """Find the mixture of least value, a vertex of the LP.
 
         Raises TimeLimit at ``deadline`` (``time.monotonic``), or SolverFailed.
         """
@@ -134,7 +133,7 @@ class Mixtures:
         return np.asarray(self.loss * hits)
 
     def _begin(self, unit: float) -> None:
-        """Begin the program again, without sites: z, and for each leg shares and a budget."""
+        """Begin the LP again, without sites: the column of z, and two rows for each leg."""
         self._unit, self._sites = unit, np.zeros(0, dtype=np.int64)
         self._program, one = GrowingProgram(ANY_SIMPLEX, ROUNDING), np.ones(self._legs)
         rows = self._program.add_rows(np.append(one, np.full(self._legs, -math.inf)),
@@ -143,7 +142,7 @@ class Mixtures:
                                   csr_matrix((1, len(rows))))
 
     def _add_columns(self) -> None:
-        """Add the routes that are new to the program."""
+        """Add the routes that are not yet columns of the LP."""
         first = self._program.columns - 1
         new, none = self._columns[first:], np.zeros(len(self._columns) - first)
         if not new:
@@ -156,7 +155,7 @@ class Mixtures:
             hstack([shares, budgets, self._hit(first)[self._sites].T])))
 
     def _add_sites(self, losses: FloatArray, least: float) -> bool:
-        """Let the sites join that cause more than ``least`` and nearly the most; True if any do."""
+        """Add the sites whose losses exceed ``least`` and are near the largest; False: none are."""
         new = np.setdiff1d(np.flatnonzero(losses > max(least, NEAR * losses.max(initial=0.0))),
                            self._sites)
         if not len(new):
@@ -168,7 +167,7 @@ class Mixtures:
         return True
 
     def _hit(self, first: int) -> csr_matrix:
-        """The losses (S, C) that the sites cause each route from ``first`` on, in the unit."""
+        """Losses (S, C), in the unit, that the sites cause to each route from ``first`` on."""
         met = [each.met for each in self._columns[first:]]
         sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
         return csr_matrix((self.loss[sites] / self._unit, (sites, column)),

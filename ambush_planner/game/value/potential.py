@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The least value on a planar two-way network within its length budget: an LP in face potentials.
 
-Every flow of size 1 is the flow of one reference route plus the differences of a potential of the
+Every flow of size 1 is the flow of a reference route plus the differences of a potential of the
 faces. Its level lines, driven as routes, meet disc j at most as often as the potential varies on
-the rim of the disc. So the least value is the least z for which some potential varies on the rim of
-disc j by at most z / alpha_j and keeps the budget (docs/theory.md, section 7). For a fixed z, the
-least length is a linear program. Its dual is a circulation between faces: through links, at most
-their shares of the budget, and through discs. The discs' flows are an ambusher, and Newton's method
-on z gives the bound that this ambusher proves. Mixtures of the potentials that were found on the
-way keep the budget: the least value of these is the value. New sites, and faces at which a disc
-exceeds its cap, are new columns of the same model.
+the disc's rim. So the least value is the least z for which some potential varies by at most
+z / alpha_j on the rim of disc j and keeps the budget (docs/theory.md, section 7).
+
+For a fixed z, the least length is an LP, whose dual is solved here: a circulation between faces,
+through links, up to their shares of the budget, and through discs. The flows through the discs are
+an ambusher's strategy, and Newton's method on z gives the bound that it certifies. The value is
+that of the best mixture, within the budget, of the potentials found on the way. New sites, and
+faces at which a disc exceeds its cap, are new columns of the same model.
 """
 
 from __future__ import annotations
@@ -37,24 +38,24 @@ from .mixtures import mixture_lp
 
 
 class PotentialSearch(NamedTuple):
-    """The constants of the search for z."""
+    """Constants of the search for z."""
 
-    precision: float = 5e-3  # largest, relative: of z, and of the share at which faces join
+    precision: float = 5e-3  # largest relative precision, of z and of separation
     step: float = 0.9  # factor by which z falls at most at once, until a budget is exceeded
     # While the budgets are kept, z stays if more than this share of the discs' columns is new: at a
-    # lower z, most of the columns that join would not be needed in the end.
+    # lower z, most of the columns added would not be needed in the end.
     many: float = 0.03
-    endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc: z is infeasible
-    points: int = 24  # most potentials of which mixtures are made
-    near: float = 0.2  # share of the value below which a site's largest loss is left out of these
-    stalls: int = 8  # rounds without a better value or bound after which a search ends
+    endless: float = 1.0 / BUDGET_TOLERANCE  # flow through a disc from which on z is infeasible
+    points: int = 24  # number of potentials of which mixtures are made
+    near: float = 0.2  # share of the value below which a site is left out of these mixtures' LP
+    stalls: int = 8  # rounds without a better value or bound after which the search ends
 
 
 POTENTIAL = PotentialSearch()
 
 
 class _Point(NamedTuple):
-    """A potential (F,) of faces, how often it hits each site (S,), and its share of the budget."""
+    """A potential (F,) of faces, its hits (S,) at the sites, and its share of the budget."""
 
     potential: FloatArray
     hits: FloatArray
@@ -62,15 +63,15 @@ class _Point(NamedTuple):
 
 
 class Potential:
-    """The LP of a leg, at first with the game's sites; ``solve`` goes on from where it is.
+    """LP in the face potentials of a leg; ``solve`` resumes, and sites can be added in between.
 
     Attributes
     ----------
     bound : float
-        No strategy has a smaller value, as the ambusher proves who waits at the sites by ``q``
-        (S,) and has the ``price`` of the budget.
+        Lower bound of the value, certified by the ambusher's strategy ``q`` (S,) with the ``price``
+        of the budget.
     value : float
-        What the ``flow`` costs at the sites so far.
+        Value of the ``flow`` at the known sites.
     """
 
     def __init__(self, legs: Legs, faces: Faces, gap: float, first: float = np.inf) -> None:
@@ -89,7 +90,7 @@ class Potential:
         self._face, self._offset, self._part, self._first = (
             np.zeros(0, dtype=np.int64) for _ in range(4))
         self._part_site, self._part_row = (np.zeros(0, dtype=np.int64) for _ in range(2))
-        # Columns: the pairs that joined, up out of a face or down into one.
+        # Columns: the pairs added, up out of a face or down into one.
         self._joined, self._columns = (np.zeros(0, dtype=np.int64) for _ in range(2))
         self._up = np.zeros(0, dtype=bool)
         self._blend = np.zeros(0)  # (points,)
@@ -126,31 +127,34 @@ class Potential:
         self._mix(math.inf)
 
     def tighten(self, gap: float) -> None:
-        """Let the next ``solve`` find z to another relative gap."""
+        """Set the relative gap of the next ``solve``."""
         least = 2.0 / POTENTIAL.endless  # an endless flow proves no more
         self._precision = min(max(gap, least), POTENTIAL.precision)
 
     def solve(self, deadline: float) -> None:
-        """Find z: from above in steps, from below by the bounds that ambushers prove.
+        """Find z, from above in steps and from below by certified bounds.
 
         Raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed; what was found
-        until then counts.
+        before is kept.
         """
         if not len(self._loss) or not len(self._links.real):
-            self.value = self.bound  # or there is but one route
+            self.value = self.bound  # no sites, or a single route
             return
         z = max(min(self._z, self._loss.max() / 2.0), self.bound)
         if self.bound == 0.0 and self.legs.avoiding(self._entering):
             z = 0.0  # unless the routes that avoid all sites exceed the budget
-        self._join(z)
+        self._add_violated(z)
         stalled = 0
         while stalled < POTENTIAL.stalls:
             keeps_budget, before = self._solve_at(z, deadline), (self.value, self.bound)
-            new = self._join(z)
+            new = self._add_violated(z)
             if keeps_budget and new > POTENTIAL.many * len(self._joined):
                 continue
             if keeps_budget:
-                self._use_last()  # a mixture with others costs more
+                # The last potential alone: a mixture with others costs more.
+                self._points = self._points[-POTENTIAL.points :]
+                self._blend = np.eye(1, len(self._points), len(self._points) - 1)[0]
+                self.value = float((self._loss * self._points[-1].hits).max(initial=0.0))
             else:
                 self._mix(deadline)
             self._z = z
@@ -161,11 +165,11 @@ class Potential:
             stalled = 0 if gained or new else stalled + 1
             z = (max(self.bound, POTENTIAL.step * min(z, self.value)) if keeps_budget
                  else self.bound * (1.0 + self._precision / 2.0))
-            self._join(z)
+            self._add_violated(z)
 
     @property
     def flow(self) -> FloatArray:
-        """The strategy (M,), without cycles and within the budget."""
+        """Acyclic strategy (M,) within the budget."""
         budget, (game,) = self._budget, self.legs.games
         shortest, p = shortest_route_strategy(game, budget.cost), None
         if len(self._blend):
@@ -178,7 +182,7 @@ class Potential:
 
     @property
     def ambush(self) -> Ambush:
-        """The ambusher who proves the bound."""
+        """The ambusher's strategy that certifies the bound."""
         return Ambush(self.q, np.array([self.price]), self._circulations)
 
     def _mixed_potential(self) -> FloatArray:
@@ -187,7 +191,7 @@ class Potential:
                               for share, point in zip(self._blend, known, strict=True)))
 
     def _add_links(self) -> _Links:
-        """The model without discs at its optimum: links of the shortest-path tree are full."""
+        """Add the links at the optimum without discs: those of the shortest-path tree are full."""
         links, faces = _Links(self.faces, self._budget), self.faces
         real, high = links.real, links.capacity[links.real]
         links.columns = self._flows.add_arcs(
@@ -199,40 +203,41 @@ class Potential:
         return links
 
     def _heights(self, potential: FloatArray, first: int = 0) -> FloatArray:
-        """The potential at each pair of a face and a part, from pair ``first`` on."""
+        """Potential at each pair of a face and a part, from pair ``first`` on."""
         return np.asarray(potential[self._face[first:]] + self._offset[first:])
 
     def _spreads(self, height: FloatArray, begins: IndexArray) -> FloatArray:
-        """Return the potential's range on each part of a rim; parts begin at pairs ``begins``."""
+        """Range of the potential on each part of a rim; parts begin at the pairs ``begins``."""
         if not len(begins):
             return np.zeros(0)
         return np.asarray(np.maximum.reduceat(height, begins) - np.minimum.reduceat(height, begins))
 
     def _hits(self, potential: FloatArray, first_site: int = 0) -> FloatArray:
-        """Return the hits of the level lines by each site (K,), from ``first_site`` on."""
+        """Hits (K,) of the level lines at the sites from ``first_site`` on."""
         hits = np.zeros(len(self._loss) - first_site)
         parts = np.flatnonzero(self._part_site >= first_site)
         if len(parts):
-            at = int(self._first[parts[0]])  # later sites have later parts
-            spread = self._spreads(self._heights(potential, at), self._first[parts] - at)
+            begin = int(self._first[parts[0]])  # later sites have later parts
+            spread = self._spreads(self._heights(potential, begin), self._first[parts] - begin)
             np.maximum.at(hits, self._part_site[parts] - first_site, spread)
         return np.where(self._unavoidable[first_site:], 1.0, hits)
 
-    def _join(self, z: float) -> int:
-        """Add the extreme faces of the discs that exceed z, and those just too far apart.
+    def _add_violated(self, z: float) -> int:
+        """Separation: add columns at the faces whose potentials differ too much for z.
 
-        Returns the number of pairs that are new.
+        On each part of a rim that exceeds z, these are the two extreme faces, and the face on
+        either side that is just too far from the opposite extreme. Returns the number of new pairs.
         """
         height = self._heights(self._potential)
         spread = self._spreads(height, self._first)
         hits, site = self._hits(self._potential), self._part_site
-        most = z * (1.0 + self._precision / 2.0) / self._loss
-        over = ((hits > most + ROUNDING) & ~self._unavoidable)[site] & (spread > ROUNDING)
-        left = most / np.maximum(hits, ROUNDING)
-        last, pairs = np.append(self._first[1:], len(self._face)), []
-        for part in np.flatnonzero(over).tolist():
-            order = self._first[part] + height[self._first[part] : last[part]].argsort()
-            ordered, limit = height[order], spread[part] * left[site[part]]
+        max_hits = z * (1.0 + self._precision / 2.0) / self._loss
+        violated = ((hits > max_hits + ROUNDING) & ~self._unavoidable)[site] & (spread > ROUNDING)
+        share = max_hits / np.maximum(hits, ROUNDING)
+        end, pairs = np.append(self._first[1:], len(self._face)), []
+        for part in np.flatnonzero(violated).tolist():
+            order = self._first[part] + height[self._first[part] : end[part]].argsort()
+            ordered, limit = height[order], spread[part] * share[site[part]]
             above = order[min(ordered.searchsorted(ordered[0] + limit, 'right'), len(order) - 1)]
             below = order[max(ordered.searchsorted(ordered[-1] - limit) - 1, 0)]
             pairs += [2 * order[-1] + 1, 2 * above + 1, 2 * order[0], 2 * below]
@@ -243,7 +248,7 @@ class Potential:
         return len(new)
 
     def _add_pairs(self, pair: IndexArray, up: BoolArray) -> None:
-        """Add the columns of pairs (K,): out of the face into the disc if ``up``, or back."""
+        """Add the columns of pairs (K,): from the face into the disc if ``up``, else back."""
         face, disc = self._rows[self._face[pair]], self._part_row[self._part[pair]]
         rows = np.column_stack((np.where(up, face, disc), np.where(up, disc, face)))
         none, high = np.zeros(len(pair)), np.full(len(pair), POTENTIAL.endless)
@@ -253,9 +258,9 @@ class Potential:
         self._columns = np.append(self._columns, columns)
 
     def _solve_at(self, z: float, deadline: float) -> bool:
-        """Solve for a fixed z and keep what it proves; True if the potential keeps the budget.
+        """Solve for a fixed z and keep its bound; return whether the potential keeps the budget.
 
-        What flows through a disc enters and leaves it by columns of their own, so each counts half.
+        Flow through a disc enters and leaves it by separate columns, so each counts half.
         """
         site = self._part_site[self._part[self._joined]]
         turned = np.where(self._up, -1.0, 1.0) * self._offset[self._joined]
@@ -278,19 +283,13 @@ class Potential:
         return gain <= limited + self._precision * self._links.margin and not endless
 
     def _scaled_circulation(self, x: FloatArray, total: float) -> Circulation:
-        """The flow of a solution, divided by what adds up to 1 at the sites."""
+        """Flow of a solution, divided by the ``total`` of the ambusher's weights."""
         flow = np.maximum(x[self._columns], 0.0) * np.where(self._up, 1.0, -1.0) / total
         site = self._part_site[self._part[self._joined]]
         used = np.flatnonzero(flow * self.q[site])  # elsewhere it is rounding
         through = self._links.capacity * self.faces.crossed
         through[self._links.real] = x[self._links.columns]
         return Circulation(through / total, site[used], self._face[self._joined[used]], flow[used])
-
-    def _use_last(self) -> None:
-        """Take the last potential, which keeps the budget: a mixture with others costs more."""
-        self._points = self._points[-POTENTIAL.points :]
-        self._blend = np.eye(1, len(self._points), len(self._points) - 1)[0]
-        self.value = float((self._loss * self._points[-1].hits).max(initial=0.0))
 
     def _mix(self, deadline: float) -> None:
         """Find the mixture of potentials of least value within the budget.
@@ -299,11 +298,11 @@ class Potential:
         """
         points, count = self._points, len(self._points)
         losses = self._loss * np.stack([point.hits for point in points])  # points, S
-        near, value = losses.max(axis=0), losses.max(axis=1, initial=0.0)
-        # At others, no mixture costs as much.
-        rows = np.flatnonzero(near >= max(self.bound * (1.0 - ROUNDING),
-                                          POTENTIAL.near * value.min()))
-        unit = float(near.max(initial=0.0)) or 1.0
+        largest, value = losses.max(axis=0), losses.max(axis=1, initial=0.0)
+        # At other sites, no mixture costs as much.
+        rows = np.flatnonzero(largest >= max(self.bound * (1.0 - ROUNDING),
+                                             POTENTIAL.near * value.min()))
+        unit = float(largest.max(initial=0.0)) or 1.0
         lp = mixture_lp(csr_matrix(losses[:, rows].T / unit), np.zeros(count, dtype=np.int64),
                         np.array([point.used for point in points]))
         try:
@@ -322,10 +321,10 @@ class Potential:
 
 
 class _Links:
-    """The links of faces, with the shares of the budget that they take.
+    """Links between faces; their capacities are their costs as shares of the budget.
 
-    ``real`` links have two faces; the others are bridges, and what all routes take for these is
-    ``bridges``. The shortest route leaves the ``margin``, or 1 if there is no budget.
+    ``real`` links have two different faces; the others are bridges, which all routes use at the
+    cost ``bridges``. ``margin`` is the budget's, as a share of it; 1 if there is no budget.
     """
 
     columns: IndexArray
@@ -342,18 +341,18 @@ class _Links:
         self.margin = budget.margin / budget.limit if budget.is_limited else 1.0
 
     def full_links(self) -> IndexArray:
-        """Return the real links (K,) to begin with: 1 or -1 on shortest paths, else 0."""
+        """First flow on the real links (K,): 1 or -1 on shortest paths from the source, else 0."""
         game, faces = self.faces.game, self.faces
         edge, ends = np.flatnonzero(game.playable), np.zeros((2, len(faces.left)), dtype=np.int64)
         ends[:, faces.link[edge]] = np.sort(game.network.edges[edge], axis=1).T
         both = np.concatenate((ends, ends[::-1]), axis=1)
         graph = csr_matrix((np.tile(self._cost, 2), both), (game.node_count,) * 2)
-        before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
+        predecessor = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
         low, high = ends[:, self.real]
-        return np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0))
+        return np.where(predecessor[high] == low, 1, np.where(predecessor[low] == high, -1, 0))
 
     def used_budget(self, potential: FloatArray) -> float:
-        """Share of the budget that the flow of a potential of the faces takes."""
+        """Return the share of the budget that the flow of a potential (F,) uses."""
         faces = self.faces
         through = faces.crossed + potential[faces.left] - potential[faces.right]
         return float(self.capacity @ np.abs(through))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The least value by a linear program over whole routes, each hit once by each site.
+"""The least value by column generation over whole routes, each hit at most once by each site.
 
-Column generation: the best mixture of the known routes of each leg gives an ambusher's strategy and
-prices of the budgets (``mixtures``). Pricing finds routes of each leg that cost less against these
-than those in use: first the shortest ones with every entry counted, then by label setting, which
-also proves bounds (``best_response``), but is slow. So it begins once the sites that matter are
-known, after ``rough`` rounds.
+The master LP finds the best mixture of the known routes of each leg, an ambusher's strategy and
+prices of the budgets (``mixtures``). Pricing adds routes of each leg of negative reduced cost:
+first shortest paths on which every entry pays, then by label setting, which also proves bounds
+(``best_response``) but is slow. So labels are used only once the important sites are known, after
+``rough`` rounds.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from .mixtures import Mixture, Mixtures
 
 
 class ColumnGeneration(NamedTuple):
-    """The constants of the linear program over routes."""
+    """Constants of column generation."""
 
-    # Relative gap at which rough rounds end, from what any routes cost if every entry counts.
+    # Relative gap at which rough rounds end, to the bound that counts every entry as a hit.
     rough: float = 0.02
-    gain: float = 0.25  # share of the wanted gap by which a route must cost less to join
+    gain: float = 0.25  # least reduced cost of an added route, as a share of the gap allowed
     comparisons: int = 1_000_000  # of labels in a search
-    apart: float = 0.25  # minimum distance of sites that join at once, as a share of the reach
+    site_spacing: float = 0.25  # minimum distance between sites added at once [reaches]
 
 
 ROUTES = ColumnGeneration()
@@ -43,15 +43,15 @@ LABELS: Searches = tuple((kept, ROUTES.comparisons) for kept, _ in SEARCHES[:2])
 
 
 class Routes:
-    """The least value by a linear program over the routes of legs; it only grows.
+    """Column generation over the routes of legs; columns and sites are only added.
 
     Attributes
     ----------
     bound : float
-        No strategy has a smaller value, as the ambusher proves who waits at the sites by ``q``
-        (S,) and has the ``prices`` (legs,) of the budgets.
+        Lower bound of the value, certified by the ambusher's strategy ``q`` (S,) with the
+        ``prices`` (legs,) of the budgets.
     value : float
-        That of the ``mixture`` found.
+        Value of the ``mixture`` found.
     rough : bool
         Whether ``solve`` ends near the least value, without a proof.
     """
@@ -101,12 +101,12 @@ class Routes:
         found = []
         used = self.mixture.uses(self.legs.edge_count)
         for leg, (game, p) in enumerate(zip(self.legs.games, self.legs.split(used), strict=True)):
-            over = float(self._margins[leg] @ p) - 1.0
-            if over > 0.0:  # as far as the LP's precision allows
-                inside = np.zeros(len(p))
-                inside[self._networks[leg].shortest(self._margins[leg],
-                                                    np.zeros(len(self.loss)))] = 1.0
-                p = inside + 1.0 / (1.0 + over) * (p - inside)
+            overrun = float(self._margins[leg] @ p) - 1.0
+            if overrun > 0.0:  # by the LP's precision: mix with the shortest route
+                shortest = np.zeros(len(p))
+                shortest[self._networks[leg].shortest(self._margins[leg],
+                                                      np.zeros(len(self.loss)))] = 1.0
+                p = shortest + 1.0 / (1.0 + overrun) * (p - shortest)
             conserved = conserved_strategy(game, p, NEGLIGIBLE)
             assert conserved is not None  # one route of n has a share of 1 / n or more
             found.append(conserved)
@@ -114,15 +114,14 @@ class Routes:
 
     @property
     def ambush(self) -> Ambush:
-        """The ambusher who proves the bound."""
+        """The ambusher's strategy that certifies the bound."""
         return Ambush(self.q, self.prices)
 
     def solve(self, deadline: float) -> None:
-        """Let routes join until the value is within the gap of the bound, or none costs less.
+        """Add routes until the value is within the gap of the bound, or pricing finds none.
 
-        Or until the bound and the value have hardly come nearer to each other in ``ROUNDS`` rounds.
-        Raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed; what was found
-        until then counts.
+        It also ends if ``ROUNDS`` rounds hardly close the gap. Raises TimeLimit at the ``deadline``
+        (``time.monotonic``), or SolverFailed; what was found before is kept.
         """
         if not len(self.loss):
             self.value = 0.0
@@ -138,11 +137,11 @@ class Routes:
             stalled += 1
             if self.value - self.bound < open_gap - ROUTES.gain * self._gap * self.value:
                 open_gap, stalled = self.value - self.bound, 0
-            least, joined = self._price(mixture, self._by_entries, deadline)
-            by_entries = max(by_entries, least)
-            if not joined and by_labels:
-                joined = self._price(mixture, self._by_labels, deadline)[1]
-            if self._done(deadline) or not joined:
+            bound, added = self._price(mixture, self._by_entries, deadline)
+            by_entries = max(by_entries, bound)
+            if not added and by_labels:
+                added = self._price(mixture, self._by_labels, deadline)[1]
+            if self._done(deadline) or not added:
                 return
 
     def _done(self, deadline: float) -> bool:
@@ -154,39 +153,39 @@ class Routes:
         return False
 
     def _price(self, mixture: Mixture, best_route: BestRoute, deadline: float) -> tuple[float, int]:
-        """Add routes of each leg that cost less than those in use.
+        """Pricing: add a route of each leg if its reduced cost is negative enough.
 
-        Returns what all legs cost at least, as ``best_route`` counts, and the number of new routes.
-        A proof is kept.
+        Returns the least cost of all legs together, as ``best_route`` counts, and the number of
+        routes added. If that is a lower bound, and the best so far, it is kept.
         """
         q, prices, site_prices = mixture.q, mixture.prices, mixture.q * self.loss
-        # A route must cost less than what its leg pays, by its share of the gain.
-        most = mixture.costs - ROUTES.gain * self._gap * self.value / len(self._networks)
+        # A route must cost less than the leg's dual by its share of the gain.
+        max_cost = mixture.costs - ROUTES.gain * self._gap * self.value / len(self._networks)
         added, least = 0, -float(prices.sum())
         for leg, network in enumerate(self._networks):
             base = prices[leg] * self._margins[leg]
             bound, route = best_route(network, base, site_prices, deadline)
             least += bound
-            if route is not None and network.cost(route, base, site_prices) < most[leg]:
+            if route is not None and network.cost(route, base, site_prices) < max_cost[leg]:
                 added += self.add_route(leg, route)
-        waits, proved = float(q.sum()), best_route == self._by_labels or self.legs.no_reentry
-        if proved and least > self.bound * waits:
+        total, proved = float(q.sum()), best_route == self._by_labels or self.legs.no_reentry
+        if proved and least > self.bound * total:
             margins = np.array([budget.margin for budget in self.legs.budgets])
-            self.bound, self.q = least / waits, q / waits
-            self.prices = np.where(np.isfinite(margins), prices / margins, 0.0) / waits
+            self.bound, self.q = least / total, q / total
+            self.prices = np.where(np.isfinite(margins), prices / margins, 0.0) / total
         return least, added
 
     def _by_entries(self, network: Subnetwork, base: FloatArray, site_prices: FloatArray,
                     deadline: float) -> tuple[float, IndexArray]:
-        """The shortest route, and its cost, with every entry counted."""
+        """Cost and edges of the cheapest route if every entry pays the site's price."""
         route = network.shortest(base, site_prices)
-        return float(base[route].sum() + (site_prices @ network.hits)[route].sum()), route
+        return float(base[route].sum() + (site_prices @ network.rows)[route].sum()), route
 
     def _by_labels(self, network: Subnetwork, base: FloatArray, site_prices: FloatArray,
                    deadline: float) -> tuple[float, IndexArray | None]:
         return network.least_cost(base, site_prices, LABELS, deadline)
 
 
-# Finds the least cost of a leg's routes, or a lower bound, and a route that costs little.
+# Finds the least cost of a leg's routes, or a lower bound of it, and a route of low cost.
 BestRoute = Callable[[Subnetwork, FloatArray, FloatArray, float],
                      tuple[float, 'IndexArray | None']]
