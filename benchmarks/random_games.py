@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from families import FAMILIES, draw
 from games import (
-    LP,
+    flow_value,
     hit_once,
     is_acyclic,
     may_wait,
@@ -31,12 +31,10 @@ from games import (
     neighbours,
     standing_places,
     unbalanced,
-    value_lp,
 )
-from peers import highs
 from report import conditions, new_parser, publish, quantiles, table
 from scenarios import Scenario
-from scipy.sparse import block_diag, csr_matrix, hstack, vstack
+from scipy.sparse import csr_matrix
 
 from ambush_planner import (
     BudgetInfeasible,
@@ -233,10 +231,9 @@ def met_by(leg: Strategy, hits: np.ndarray) -> np.ndarray:
                for route, share in zip(leg.mixture.routes, leg.mixture.shares, strict=True))
 
 
-def geometric_hits(network: Network, radius: float, secured: float | None = None,
-                   others: tuple[int, ...] = ()) -> csr_matrix:
-    """(N, M): edges that bring a route into the disc of a node; secured: as far as that."""
-    secured = radius if secured is None else secured
+def geometric_hits(network: Network, radius: float, secured: float,
+                   others: tuple[int, ...]) -> csr_matrix:
+    """(N, M): edges that bring a route into the disc of a node that is not secured."""
     near = meets(network, network.points, radius, secured, others)
     apart = np.linalg.norm(network.points[:, None] - network.points, axis=2)
     ends = [network.source, network.target, *others]
@@ -276,40 +273,16 @@ def wrong_values(game: RandomGame, trip: TripStrategy) -> Iterator[str]:
         yield f'value {value:.9g}, computed again {again:.9g}'
     if anywhere:  # the bound is that of larger discs, also around places nearer to the secured area
         site, entries = trip.game.sites, [leg.game.entering for leg in trip.legs]
-    least = least_by_highs(game, trip, [csr_matrix(each.multiply(alpha[site][:, None]))
-                                        for each in entries])
+    usable = [(each.alpha <= options.alpha_threshold)[each.edges].all(axis=1) for each in networks]
+    least = flow_value(networks, [csr_matrix(each.multiply(alpha[site][:, None]))
+                                  for each in entries],
+                       [leg.length_budget for leg in trip.legs], usable)
+    least = value if least is None else least  # HiGHS ended in an unknown state
     # HiGHS counts entries, so its value is the optimum only if no site is entered twice.
     if trip.lower_bound > least * (1.0 + LOOSE) + 1e-9:
         yield f'bound {trip.lower_bound:.9g} above {least:.9g} by HiGHS'
     if reach == 0.0 and value * (1.0 + LOOSE) + 1e-9 < least:
         yield f'value {value:.9g} below {least:.9g} by HiGHS'
-
-
-def least_by_highs(game: RandomGame, trip: TripStrategy, losses: list[csr_matrix]) -> float:
-    """The value if every entry counts, of all legs with ``losses`` (S, M) in one program.
-
-    The last column of each leg's program is the largest loss, of which there is one for all.
-    """
-    parts = []
-    for leg, own in zip(trip.legs, losses, strict=True):
-        network, limit = leg.network, leg.length_budget
-        usable = (network.alpha <= game.options.game.alpha_threshold)[network.edges].all(axis=1)
-        parts.append((value_lp(network, own, [(network.travel_costs, limit)], usable),
-                      own.shape[0]))
-    sites = parts[0][1]
-    edges = [lp.above[:, :-1] for lp, _ in parts]
-    shared = hstack([*(each[:sites] for each in edges), csr_matrix(-np.ones((sites, 1)))])
-    limits = hstack([block_diag([each[sites:] for each in edges]),
-                     csr_matrix((sum(each.shape[0] - sites for each in edges), 1))])
-    balance = block_diag([lp.balance[:, :-1] for lp, _ in parts])
-    balance = hstack([balance, csr_matrix((balance.shape[0], 1))])
-    above = vstack([shared, limits]) if limits.shape[0] else shared
-    lp = LP(np.append(np.zeros(above.shape[1] - 1), 1.0), csr_matrix(above),
-            np.append(np.zeros(sites), np.ones(limits.shape[0])), csr_matrix(balance),
-            np.concatenate([each.supply for each, _ in parts]),
-            np.append(np.concatenate([each.most[:-1] for each, _ in parts]), np.inf))
-    found = highs(lp, primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10)
-    return float(found.get('value', trip.value))
 
 
 def report(tally: Tally, first: int, games: int) -> str:

@@ -70,7 +70,7 @@ def lp_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
 def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, method):
     network = terrain_network(seed, method, 14)
     lp = lp_of(one_leg(make_game(network, GameOptions()), detour))
-    least = lp_value(network, None, detour * least_weight(network, network.lengths))
+    least = lp_value(network, detour * least_weight(network, network.lengths))
     assert least * (1.0 - POTENTIAL.precision) <= lp.bound <= least * (1.0 + 1e-6)
 
 

@@ -119,7 +119,7 @@ def test_a_town_against_networkx(streets, name, detour):
     assert strategy.shortest_length == pytest.approx(least, rel=1e-6)
     assert strategy.expected_length <= detour * least * (1.0 + 1e-6)
     value = float(exact_value(network)) if detour == math.inf else lp_value(
-        network, None, detour * strategy.shortest_length)
+        network, detour * strategy.shortest_length)
     assert strategy.value == pytest.approx(value, rel=1e-4)
     assert strategy.lower_bound <= value * (1.0 + 1e-9)
 
