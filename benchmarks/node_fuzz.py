@@ -226,7 +226,7 @@ def check_good_inputs(caller: Caller) -> None:
         ends = [(p.pose.position.x, p.pose.position.y) for p in (path.poses[0], path.poses[-1])]
         return ends == [START, GOAL]
 
-    caller.wait(finds_route, 'a route from start to goal')
+    caller.wait(finds_route, 'no route from start to goal')
 
 
 def fuzz(rig: Rig, seed: int, numbers: range) -> tuple[str, bool]:

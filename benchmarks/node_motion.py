@@ -32,7 +32,7 @@ from node_rig import (
     ANSWER_TIMEOUT,
     PLANNER,
     Caller,
-    NodeSilent,
+    NoAnswer,
     grid_of,
     pose,
     resident,
@@ -179,7 +179,7 @@ class Patrol:
         """Publish the map, and wait until the node knows it and the robot."""
         grid = grid_of(warehouse(), RESOLUTION)
         self._caller.publisher(OccupancyGrid, '/alpha_map').publish(grid)
-        self._caller.wait(self._action.server_is_ready, 'the action')
+        self._caller.wait(self._action.server_is_ready, 'no action')
         end = time.monotonic() + ANSWER_TIMEOUT
         while self._request(ENDS[0])[0] != 'NONE' and time.monotonic() < end:
             self._caller.idle_until(time.monotonic() + 0.2)
@@ -243,7 +243,7 @@ class Patrol:
         if kind in ('new', 'diverted'):
             trip.drawn = self.robot.driven + float(np.hypot(*np.diff(path, axis=0).T).sum())
         if kind == 'new' and math.isnan(trip.value):
-            self._caller.wait(lambda: self._caller.status.get('departure_value'), 'the value')
+            self._caller.wait(lambda: self._caller.status.get('departure_value'), 'no value')
             trip.value = float(self._caller.status['departure_value'])
             trip.secured = float(self._caller.status['secured_radius'])
 
@@ -256,9 +256,9 @@ class Patrol:
 
     def _request(self, goal: np.ndarray) -> tuple[str, Any]:
         sent = self._action.send_goal_async(ComputePathToPose.Goal(goal=pose(*map(float, goal))))
-        self._caller.wait(sent.done, 'acceptance')
+        self._caller.wait(sent.done, 'no acceptance')
         answer = sent.result().get_result_async()
-        self._caller.wait(answer.done, 'a result', ANSWER_TIMEOUT)
+        self._caller.wait(answer.done, 'no result', ANSWER_TIMEOUT)
         result = answer.result().result
         return ('NONE' if result.path.poses else CODES.get(result.error_code, '?')), result
 
@@ -302,7 +302,7 @@ def measure_one(ask: str, speed: float, options: Any) -> tuple[list[str], bool]:
         grown = resident(rig.process.pid) - before
     trips = [trip for trip in patrol.trips if trip.drawn]
     if not trips:
-        raise NodeSilent('no trip got a path')
+        raise NoAnswer('no trip got a path')
     ratios = [trip.driven / trip.drawn for trip in trips]
     met = [worst_met([trip for trip in trips if trip.way == way])
            for way in sorted({trip.way for trip in trips})]

@@ -11,19 +11,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
@@ -35,6 +30,7 @@ from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.topics import REQUESTS
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from examples.demo.client import NoAnswer, NodeClient
 from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 PLANNER = '/ambush_planner'
@@ -48,10 +44,6 @@ TIMEOUT = 30.0
 # The node's own time limit for a solve is 60 s.
 ANSWER_TIMEOUT = 90.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-class NodeSilent(Exception):
-    """The node did not do something in time."""
 
 
 class Refused(Exception):
@@ -91,50 +83,35 @@ def running_node(
             yield Rig(process, domain, folder)
 
 
-class Caller:
-    """A ROS node in this process that calls the planner; a context manager.
-
-    ``status`` holds the values of the latest diagnostics.
-    """
+class Caller(NodeClient):
+    """A ROS node in this process that calls the planner; a context manager."""
 
     def __init__(self, rig: Rig) -> None:
-        self._rig = rig
+        super().__init__(rig.domain, rig.process.check)
         self._publishers: dict[str, Any] = {}
-        self.status: dict[str, str] = {}
 
     def __enter__(self) -> Caller:
-        self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=self._rig.domain)
-        self.node = rclpy.create_node('caller', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        super().__enter__()
         self._clients = {
             name: self.node.create_client(kind, f'{PLANNER}/{name}', qos_profile=REQUESTS)
             for name, kind in SERVICES.items()}
         # Answers are lost until the planner has discovered the client. It discovers what listens in
         # the order of its creation, so a report that arrives shows that it has.
-        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_status, 10)
+        self.listen()
         for name, client in self._clients.items():
-            self.wait(client.service_is_ready, f'the service {name}')
-        self.wait(lambda: self.status, 'the diagnostics')
+            self.wait(client.service_is_ready, f'no service {name}')
+        self.wait(lambda: self.status, 'no diagnostics')
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+    def wait(self, done: Callable[[], object], failure: str, timeout: float = TIMEOUT) -> None:
+        super().wait(done, failure, timeout)
 
     def publisher(self, kind: type, topic: str) -> Any:
         """A publisher to which the planner has subscribed."""
         if topic not in self._publishers:
             qos = LATCHED if kind is OccupancyGrid else 1
             made = self._publishers[topic] = self.node.create_publisher(kind, topic, qos)
-            self.wait(made.get_subscription_count, f'a subscription of {topic}')
+            self.wait(made.get_subscription_count, f'no subscription of {topic}')
         return self._publishers[topic]
 
     def send(self, name: str, request: Any = None) -> Future:
@@ -142,9 +119,9 @@ class Caller:
         return self._clients[name].call_async(request or SERVICES[name].Request())
 
     def call(self, name: str, request: Any = None) -> Any:
-        """Call one of the ``SERVICES``; return the answer. Raises NodeSilent."""
+        """Call one of the ``SERVICES``; return the answer. Raises NoAnswer."""
         future = self.send(name, request)
-        self.wait(future.done, f'an answer of {name}', ANSWER_TIMEOUT)
+        self.wait(future.done, f'no answer of {name}', ANSWER_TIMEOUT)
         return future.result()
 
     def trigger(self, name: str) -> None:
@@ -177,26 +154,13 @@ class Caller:
         self.publisher(OccupancyGrid, '/alpha_map').publish(grid)
         self.publisher(PoseStamped, '/start_pose').publish(start)
         self.publisher(PoseStamped, '/goal_pose').publish(goal)
-        self.wait(lambda: self.status.get('state') == 'ready', 'map, start and goal to be taken')
+        self.wait(lambda: self.status.get('state') == 'ready', 'map, start and goal were not taken')
 
     def idle_until(self, moment: float) -> None:
         """Process messages until ``time.monotonic()`` is ``moment``."""
         while (left := moment - time.monotonic()) > 0.0:
-            self._rig.process.check()
-            self._executor.spin_once(timeout_sec=left)
-
-    def wait(self, done: Callable[[], object], what: str, timeout: float = TIMEOUT) -> None:
-        """Spin until ``done``; raises NodeSilent after the timeout, NodeFailed if the node ends."""
-        deadline = time.monotonic() + timeout
-        while not done():
-            self._rig.process.check()
-            if time.monotonic() > deadline:
-                raise NodeSilent(f'timed out after {timeout:g} s: {what}')
-            self._executor.spin_once(timeout_sec=0.05)
-
-    def _on_status(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            self.status = {value.key: value.value for value in status.values}
+            self.check()
+            self.executor.spin_once(timeout_sec=left)
 
 
 def rough_map(cells: int, resolution: float) -> OccupancyGrid:
@@ -255,7 +219,7 @@ def run_and_publish(
     """Publish the text of a measurement; return 0, 1 if a target was missed, 2 on failure."""
     try:
         text, met = measure()
-    except (NodeFailed, NodeSilent, Refused) as error:
+    except (NodeFailed, NoAnswer, Refused) as error:
         say(f'{block}: {error}')
         return 2
     publish(path, block, text)
