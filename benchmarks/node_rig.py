@@ -9,7 +9,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,7 @@ from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.task import Future
-from report import RESULTS, publish, quantiles
+from report import RESULTS, publish
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -50,44 +48,12 @@ class Refused(Exception):
     """The node refused a request."""
 
 
-@dataclass(frozen=True)
-class Rig:
-    """A running node: its process, its ROS domain and its folder."""
-
-    process: NodeProcess
-    domain: int
-    folder: Path
-
-    @property
-    def log(self) -> str:
-        """The output of the node so far."""
-        return (self.folder / 'node.log').read_text(errors='replace')
-
-    @property
-    def recordings(self) -> Path:
-        return self.folder / 'recordings'
-
-
-@contextmanager
-def running_node(
-    parameters: Mapping[str, object], folder: Path | None = None
-) -> Iterator[Rig]:
-    """Run a node that records and logs in a folder, by default a temporary one."""
-    # Read by the middleware in this process, and inherited by the node's.
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    with tempfile.TemporaryDirectory(prefix='ambush_planner_') as name, free_domain() as domain:
-        folder = folder or Path(name)
-        os.environ['ROS_LOG_DIR'] = str(folder / 'log')
-        settings = {'recording.directory': str(folder / 'recordings'), **parameters}
-        with NodeProcess(settings, domain, folder / 'node.log') as process:
-            yield Rig(process, domain, folder)
-
-
 class Caller(NodeClient):
-    """A ROS node in this process that calls the planner; a context manager."""
+    """A ROS node in this process that calls a planner, which is a ``process`` with a ``folder``."""
 
-    def __init__(self, rig: Rig) -> None:
-        super().__init__(rig.domain, rig.process.check)
+    def __init__(self, process: NodeProcess, domain: int, folder: Path) -> None:
+        super().__init__(domain, process.check)
+        self.process, self.folder = process, folder
         self._publishers: dict[str, Any] = {}
 
     def __enter__(self) -> Caller:
@@ -114,13 +80,9 @@ class Caller(NodeClient):
             self.wait(made.get_subscription_count, f'no subscription of {topic}')
         return self._publishers[topic]
 
-    def send(self, name: str, request: Any = None) -> Future:
-        """Call one of the ``SERVICES``; return the future of the answer."""
-        return self._clients[name].call_async(request or SERVICES[name].Request())
-
     def call(self, name: str, request: Any = None) -> Any:
         """Call one of the ``SERVICES``; return the answer. Raises NoAnswer."""
-        future = self.send(name, request)
+        future = self._clients[name].call_async(request or SERVICES[name].Request())
         self.wait(future.done, f'no answer of {name}', ANSWER_TIMEOUT)
         return future.result()
 
@@ -136,10 +98,6 @@ class Caller(NodeClient):
         if not path.poses:
             raise Refused('get_plan: no path')
         return path
-
-    def get_parameter(self, name: str = 'strategy.solver') -> None:
-        """Get a parameter, the cheapest request."""
-        self.call('get_parameters', GetParameters.Request(names=[name]))
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         """Set parameters together. Raises Refused."""
@@ -161,6 +119,20 @@ class Caller(NodeClient):
         while (left := moment - time.monotonic()) > 0.0:
             self.check()
             self.executor.spin_once(timeout_sec=left)
+
+
+@contextmanager
+def running_node(parameters: Mapping[str, object]) -> Iterator[Caller]:
+    """Run a node that records and logs in a temporary folder; yield its caller."""
+    # Read by the middleware in this process, and inherited by the node's.
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    with tempfile.TemporaryDirectory(prefix='ambush_planner_') as name, free_domain() as domain:
+        folder = Path(name)
+        os.environ['ROS_LOG_DIR'] = str(folder / 'log')
+        settings = {'recording.directory': str(folder / 'recordings'), **parameters}
+        with (NodeProcess(settings, domain, folder / 'node.log') as process,
+              Caller(process, domain, folder) as caller):
+            yield caller
 
 
 def rough_map(cells: int, resolution: float) -> OccupancyGrid:
@@ -201,11 +173,6 @@ def stopwatch(run: Callable[[], object]) -> float:
 def within(samples: Sequence[float], median: float, seldom: float) -> bool:
     """Whether the median and the 99th percentile of samples are below these."""
     return bool((np.quantile(samples, [0.5, 0.99]) < (median, seldom)).all())
-
-
-def spread(samples: Sequence[float]) -> str:
-    """Median / 99th percentile / largest of samples, as text."""
-    return quantiles(samples, 0.99)
 
 
 def say(text: str) -> None:
