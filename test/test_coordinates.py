@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from games import HUNT, random_map
-from hypothesis import Phase, example, given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
@@ -16,7 +16,7 @@ import rasterio
 from ambush_planner import InvalidRiskMap, RiskMap
 from ambush_planner.errors import InvalidCoordinates
 from ambush_planner.maps import OccupancyOptions
-from ambush_planner.maps.coordinates import Coordinates, degrees_polynomial
+from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.risk_map_file import in_local_frame, read_risk_map, write_geotiff
@@ -68,19 +68,6 @@ def test_degrees_and_metres_are_those_of_pyproj(crs):
         there = there[::-1]
     np.testing.assert_allclose(system.to_crs(xy), np.transpose(there), atol=1e-3)
     np.testing.assert_allclose(system.to_lat_lon(xy), degrees, atol=1e-8)
-
-
-@few
-@example(72.0, 179.99, 0.3, 150e3)
-@given(st.floats(-70.0, 75.0), longitudes, st.floats(-4.0, 4.0), st.floats(10.0, 150e3))
-def test_the_polynomial_of_a_report_is_exact_to_a_centimetre(latitude, longitude, yaw, half):
-    crs = f'datum {latitude} {longitude} {yaw}'
-    found = degrees_polynomial(crs, np.array([-half, -half]), np.array([half, 0.3 * half]))
-    xy = np.random.default_rng(1).uniform((-half, -half), (half, 0.3 * half), (50, 2))
-    s, t = ((xy - found['middle']) / found['half']).T
-    degrees = [np.polynomial.polynomial.polyval2d(s, t, found[name]) for name in ('lat', 'lon')]
-    back = Coordinates(crs).from_lat_lon(np.transpose(degrees))
-    np.testing.assert_allclose(back, xy, atol=0.01)
 
 
 @pytest.mark.parametrize(('crs', 'reason'), [

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from ambush_planner import (
     GameOptions,
     InvalidOption,
-    NetworkOptions,
     PlanningOptions,
     RiskMap,
     StrategyOptions,
@@ -26,7 +25,6 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.commands import hold
-from ambush_planner.commands.inputs import options_of
 from ambush_planner.game.revaluation import bound_if_held
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
@@ -208,17 +206,3 @@ def test_unusable_places_are_refused(tmp_path, text, reason):
     ground = RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 1.0)
     with pytest.raises(InvalidFeatures, match=reason):
         hold.read_places(str(tmp_path / 'p.csv'), ground)
-
-
-def test_options_have_the_names_of_parameters():
-    of_map, of_plan = options_of(['map.alpha_max=5', 'strategy.max_detour=.inf',
-                                  'network.spacing=1e1', 'network.method=uniform_grid8',
-                                  'network.target_nodes=99'])
-    assert of_map.alpha_max == 5.0 and of_plan.strategy.max_detour == np.inf
-    assert of_plan.network == NetworkOptions(method='uniform_grid8', spacing=10.0, target_nodes=99)
-    for assignment, reason in (('network.spacing', 'network.spacing=VALUE'),
-                               ('spacing=3', 'did you mean'),
-                               ('network.target_nodes=2.5', 'a whole number'),
-                               ('strategy.max_detour=0.5', 'strategy.max_detour must')):
-        with pytest.raises(InvalidOption, match=reason):
-            options_of([assignment])

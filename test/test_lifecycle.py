@@ -207,23 +207,6 @@ def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
     recorded(tmp_path, 5)
 
 
-def test_a_recording_that_fails_after_cleanup_says_nothing_of_the_next_configuration(
-        tmp_path, monkeypatch):
-    with stage(tmp_path) as running:
-        client, manager = running.give(), Manager(running.client)
-        (old,) = running.planner._recordings
-        with monkeypatch.context() as patch:
-            patch.setattr(durable_files.os, 'replace', Mock(side_effect=OSError(28, 'no space')))
-            with held(durable_files.os, 'fsync') as (stuck, _):
-                assert client.call('new_route').success
-                wait_until(stuck.is_set, 'a recording')
-                manager.go(deactivate='inactive', cleanup='unconfigured', configure='inactive',
-                           activate='active')
-            wait_until(lambda: not old.alive, 'its end')
-        client.last('/diagnostics', len(client.received['/diagnostics']) + 1)
-        client.diagnostics(recording='on', code='NONE')
-
-
 @pytest.mark.parametrize('method, transition', [
     ('_deactivate', 'deactivate'), ('stop', 'cleanup')])
 def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method, transition):

@@ -20,7 +20,6 @@ from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import recordings as recordings_module
-from ambush_planner.ros.departures import Departures, OutOfDate
 
 
 def recordings(directory):
@@ -190,25 +189,6 @@ def test_a_departure_that_waits_for_the_disk_is_drawn_after_the_wait(tmp_path, m
             wait_until(waits.done, 'the answer')
         assert waits.result().plan.poses
         assert_clear(waits.result().plan, wall(10))
-
-
-def test_a_route_that_is_out_of_date_before_it_leaves_takes_no_number(tmp_path, monkeypatch):
-    clear, blocked = Departures._check_clear, iter([True, True])
-
-    def check(*arguments):
-        if next(blocked, False):
-            raise OutOfDate
-        clear(*arguments)
-
-    monkeypatch.setattr(Departures, '_check_clear', check)
-    with stage(tmp_path) as running:
-        client = running.give()
-        for _ in range(2):
-            departs(client)
-        client.diagnostics(departures='2')
-    verdicts = [Verifier().verify(path) for path in recordings(tmp_path)]
-    assert [each.metadata.departure for each in verdicts] == [1, 2]
-    assert all(each.holds for each in verdicts)
 
 
 def test_a_path_that_a_new_map_blocks_while_it_is_recorded_does_not_leave(tmp_path):

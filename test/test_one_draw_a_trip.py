@@ -151,23 +151,6 @@ def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(tmp_path):
         assert len(drive.client.received['path']) == 2 == len(recorded(tmp_path, 2))
 
 
-def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path):
-    with stage(tmp_path, parameters={'recording.required': True}) as running:
-        client = running.give()
-        assert client.call('new_route').success
-        with slow_disk() as (asked, go_on):
-            waiting = client.send('new_route')
-            wait_until(asked.is_set, 'a recording')
-            running.planner.trigger_deactivate()
-            go_on.set()
-            wait_until(waiting.done, 'an answer')
-        assert 'inactive' in waiting.result().message
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the end of the other file')
-        assert len(client.received['path']) == 1
-        (listed,) = tmp_path.rglob('metadata.yaml')
-        wait_until(lambda: listed.read_text().count('"path"') == 1, 'the list')
-
-
 def test_new_routes_and_robots_elsewhere_are_departures_and_each_robot_has_its_own(drive):
     client, van = drive.client, Drive(drive.running, 'van')
     wholes = drive.begin(), van.begin()

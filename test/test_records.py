@@ -131,6 +131,3 @@ def test_a_certificate_never_has_a_bound_above_its_value():
             Certificate(value, bound)
     rounded = Certificate(1.0, 1.0 + 1e-12)
     assert rounded.bound == rounded.value
-
-
-# Files of strategies.

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_matrix
 from test_trip import roads_of
 
-from ambush_planner import GameOptions, NoRoute, TimeLimit
+from ambush_planner import GameOptions, NoRoute
 from ambush_planner.game.budget import length_budget
 from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.game import make_games
@@ -89,31 +89,3 @@ def check(found, legs, least):
         assert unbalanced(game.network, p) < 1e-9 and is_acyclic(game.network, p)
         assert budget.keeps(p)
     assert found.prices.min() >= 0.0
-
-
-@examples(10)
-@given(seed=st.integers(0, 10**6), stops=st.integers(0, 1),
-       reach=st.sampled_from([1.0, 2.0]))
-def test_sites_that_join_count_like_those_from_the_beginning(seed, stops, reach):
-    legs = random_legs(seed, stops, reach, 1.2)
-    rng = np.random.default_rng(seed)
-    more = csr_matrix((rng.random((3, legs.edge_count)) < 0.2).astype(float))
-    loss = rng.uniform(1.0, 5.0, 3)
-    found = solved(legs)
-    before = found.bound, found.value
-    found.add_sites(more, loss)
-    assert found.bound == before[0] and found.value >= before[1] * (1.0 - 1e-9)
-    assert len(found.q) == len(legs.loss) + 3
-    found.solve(math.inf)
-    entering = np.vstack((legs.entering.toarray(), more.toarray()))
-    check(found, legs, least_value(legs, entering, np.append(legs.loss, loss)))
-
-
-def test_at_the_deadline_there_is_a_strategy():
-    legs = legs_on(roads_of(5, 1, 4), 1.0, 1.3)
-    found = Routes(legs, GAP)
-    with pytest.raises(TimeLimit):
-        found.solve(-math.inf)
-    assert found.bound <= found.value < math.inf
-    for game, p in zip(legs.games, legs.split(found.flow), strict=True):
-        assert p[game.network.tails == game.network.source].sum() == pytest.approx(1.0)
