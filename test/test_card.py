@@ -2,7 +2,6 @@
 """``ambush card``: legs of a path, and a page that tells of one departure only."""
 
 import re
-import threading
 from base64 import b64decode
 from datetime import datetime
 from io import BytesIO
@@ -21,7 +20,6 @@ from PIL import Image
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card, card_page, draw
 from ambush_planner.commands.card_map import card_map
-from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.risk_map import RiskMap
@@ -241,17 +239,6 @@ def test_one_of_few_routes(tmp_path):
                            ('--route 9', f'has routes 1 to {count}, not 9')):
         done = run_here(card, tmp_path / 'few.plan', '-o', tmp_path / 'c.html', *options.split())
         assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
-
-
-def test_progress_is_shown_while_a_card_is_drawn(road_plan, tmp_path, monkeypatch):
-    """Drawing it ends when progress has been shown."""
-    assert run_here(draw, road_plan, '--date', '2030-01-01').code == 0
-    said = threading.Event()
-    monkeypatch.setattr(Console, 'step', lambda console, text: said.set())
-    monkeypatch.setattr(card_page, 'card_page', lambda *_: f'a card {said.wait(30.0)}')
-    (recording,) = (tmp_path / 'road.departures').iterdir()
-    done = run_here(card, recording, '-o', tmp_path / 'c.html')
-    assert done.code == 0 and (tmp_path / 'c.html').read_text() == 'a card True'
 
 
 @pytest.mark.parametrize(('turns', 'tables'), [(12, 1), (32, 2)])

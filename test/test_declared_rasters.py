@@ -35,9 +35,8 @@ def as_stored(scale, offset, kind):
 
 
 @pytest.mark.parametrize(('scale', 'offset', 'kind'), [
-    (0.1, 0.0, 'int16'), (2.0, 0.0, 'uint8'), (0.01, -100.0, 'uint16'), (1.0, 250.0, 'uint8'),
-    (1.0, -32768.0, 'uint16'), (-1.0, 0.0, 'int16'), (0.5, 250.0, 'uint8'), (1e-3, 0.0, 'int32'),
-    (100.0, 0.0, 'float32'), (10.0, 300.0, 'float64'),
+    (0.01, -100.0, 'uint16'), (-1.0, 0.0, 'int16'), (0.5, 250.0, 'uint8'),
+    (10.0, 300.0, 'float64'),
 ])
 def test_scale_and_offset_are_applied(scale, offset, kind, tmp_path):
     stored = as_stored(scale, offset, kind)
@@ -64,18 +63,12 @@ FEET = 0.3048
 
 
 @pytest.mark.parametrize(('metres', 'declared', 'words'), [
-    (FEET, {'unit': 'ft'}, 'heights in ft are read as heights in metres'),
-    (FEET, {'unit': 'foot'}, 'heights in foot'), (FEET, {'unit': 'Feet'}, 'heights in Feet'),
-    (1200 / 3937, {'unit': 'US survey foot'}, 'US survey foot'),
+    (FEET, {'unit': 'Feet'}, 'heights in Feet are read as heights in metres'),
     (1200 / 3937, {'unit': 'ftUS'}, 'ftUS'), (0.01, {'unit': 'cm'}, 'cm'),
-    (0.1, {'unit': 'decimetres'}, 'decimetres'), (1000.0, {'unit': 'km'}, 'km'),
-    (0.9144, {'unit': 'yd'}, 'yd'), (1.8288, {'unit': 'fathom'}, 'fathom'),
     (FEET, {'units': 'feet'}, 'feet'), (FEET, {'description': 'Elevation [ft]'}, 'ft'),
-    (1200 / 3937, {'crs': 'EPSG:32616+6360'}, 'US survey foot'),
     (1200 / 3937, {'crs': 'EPSG:32616+6360', 'unit': 'US survey foot'}, 'US survey foot'),
     (-1.0, {'crs': 'EPSG:32616+5715'}, 'depths in metre are read as heights'),
-    (1.0, {'unit': 'm'}, ''), (1.0, {'unit': 'metre'}, ''), (1.0, {'crs': 'EPSG:32616+5773'}, ''),
-    (1.0, {'description': 'Elevation (bare earth)'}, ''),
+    (1.0, {'unit': 'metre'}, ''), (1.0, {'description': 'Elevation (bare earth)'}, ''),
     (1.0, {'crs': 'EPSG:2274', 'place': (100.0, 0.0, 2.5e6, 0.0, -100.0, 7e5)}, 'taken as metres'),
 ])
 def test_heights_in_other_units_are_converted(metres, declared, words, tmp_path):
@@ -88,7 +81,7 @@ def test_heights_in_other_units_are_converted(metres, declared, words, tmp_path)
 # The writer of the raster without a georeference is warned, too.
 @pytest.mark.filterwarnings('ignore::rasterio.errors.NotGeoreferencedWarning')
 @pytest.mark.parametrize(('declared', 'words'), [
-    ({'unit': 'furlong'}, "'furlong', is not known"), ({'unit': 'DN'}, "'DN', is not known"),
+    ({'unit': 'furlong'}, "'furlong', is not known"),
     ({'crs': 'EPSG:32616+6360', 'unit': 'm'}, "'m' by the band, in 'US survey foot' by the vert"),
     ({'colours': {1: (255, 0, 0)}}, 'table of colours'), ({'crs': None, 'place': (
         1, 0, 0, 0, 1, 0)}, 'no georeference'),
@@ -104,14 +97,10 @@ def test_what_cannot_be_applied_is_refused(declared, words, tmp_path):
 
 @pytest.mark.parametrize(('fill', 'kind', 'declared', 'words'), [
     (-9999, 'float32', {}, '144 of 1200 heights are unknown: outside -430 to 9000 m'),
-    (-32768, 'int16', {}, 'outside -430'), (-3.4e38, 'float32', {}, 'outside -430'),
     (np.inf, 'float32', {}, 'outside -430'), (32767, 'int16', {}, 'outside -430'),
-    (65535, 'uint16', {}, 'outside -430'), (9999, 'float64', {}, 'outside -430'),
     (0, 'float32', {}, '144 of 1200 heights are unknown: of exactly 0 m, 273 m below all others'),
-    (-99, 'int16', {}, 'of exactly -99 m'), (-1, 'float32', {}, 'of exactly -1 m'),
     (999, 'int16', {}, 'of exactly 999 m, 669 m above'),
-    (-9999, 'float32', {'unit': 'ft'}, 'outs'),
-    (-9999, 'int16', {'scale': 0.1}, 'outside -430'), (-9999, 'int32', {'scale': 0.01}, 'exactly'),
+    (-9999, 'float32', {'unit': 'ft'}, 'outs'), (-9999, 'int32', {'scale': 0.01}, 'exactly'),
     (-9999, 'float32', {'nodata': -32768}, 'outside -430'),
     (-9999, 'float32', {'nodata': -9999}, ''), (np.nan, 'float32', {}, ''),
     (0, 'uint16', {'nodata': 0}, ''),
@@ -169,10 +158,8 @@ def test_longitudes_to_360_and_files_without_a_system(tmp_path):
 
 @pytest.mark.parametrize(('values', 'declared', 'words'), [
     (HILLS - 265.5, {}, 'no whole numbers; .*ambush risk'), (RISK, {'unit': 'm'}, "unit is 'm'"),
-    (RISK, {'unit': 'ft'}, "unit is 'ft'"), (RISK, {'description': 'DEM'}, "called 'DEM'"),
-    (RISK, {'description': 'surface height'}, 'surface height'),
-    (RISK, {'crs': 'EPSG:32616+5773'}, "'metre'"),
-    (RISK, {'description': 'z (m)'}, "unit is 'm'"), (RISK, {'units': 'metres'}, "'metres'"),
+    (RISK, {'description': 'DEM'}, "called 'DEM'"), (RISK, {'crs': 'EPSG:32616+5773'}, "'metre'"),
+    (RISK, {'units': 'metres'}, "'metres'"),
     (HILLS.astype(np.int16), {}, 'cell values must be .* elevation model'),
     (RISK / 100.0, {}, 'risks from 0 to 1.*multiply by 100'),
     (RISK, {'colours': {1: (255, 0, 0)}}, 'table of colours'),

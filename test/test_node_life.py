@@ -19,12 +19,11 @@ from ros_harness import (
     ros_context,
     spinning,
     stage,
-    threads,
     wait_until,
 )
 from waiting import stderr_in
 
-from ambush_planner.errors import AmbushPlannerError, InvalidOption
+from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.planning.changed_ground import Assessment
 from ambush_planner.ros import planner_node
 from ambush_planner.ros.diagnostics import Problem, Status, status_to_ros
@@ -47,15 +46,6 @@ def test_an_executor_with_several_threads_works():
                 wait_until(lambda: all(each.done() for each in futures), 'the answers')
                 assert client.call('new_route').success
                 assert client.call('replan').success
-
-
-def test_a_start_that_fails_leaves_nothing():
-    before = threads()
-    with free_domain() as domain, ros_context(domain) as context:
-        with pytest.raises(InvalidOption):
-            PlannerNode(context=context,
-                        parameter_overrides=[Parameter('recording.directory', value=' ')])
-        assert threads() == before
 
 
 def test_an_error_of_a_request_disappears_and_a_bad_map_stays(monkeypatch):

@@ -400,5 +400,9 @@ def test_a_plan_saves_itself_and_the_routes_that_it_returns(tmp_path):
     assert stat.S_IMODE((tmp_path / 'r.png').stat().st_mode) == 0o600
     with pytest.raises(InvalidOption, match=r'\.shp.*\.gpkg'):
         made.save(tmp_path / 'r.shp')
+    edges, sites = made.edges(), made.sites()
+    assert (edges.length * edges['probability']).sum() == pytest.approx(
+        made.strategy.expected_length, rel=1e-4)
+    assert sites['probability'].sum() == pytest.approx(1.0, abs=1e-3)
     made.save(tmp_path / 'r.plan', n=0)
     assert read_plan(tmp_path / 'r.plan').plan.value == made.value
