@@ -190,10 +190,12 @@ def ends_of(network: Network, others: tuple[int, ...] = ()) -> np.ndarray:
 
 
 def meets(network: Network, centres: np.ndarray, radius: float, secured: float,
-          others: tuple[int, ...] = ()) -> np.ndarray:
+          others: tuple[int, ...] = (), held=()) -> np.ndarray:
     """(K, M): whether an edge comes into the disc of a centre, ``secured`` or more from all ends.
+
+    And outside ``held`` discs (x, y, radius).
     """
-    edge, begin, end = exposed_parts(network, secured, others)
+    edge, begin, end = exposed_parts(network, secured, others, held)
     along, hit = end - begin, np.zeros((len(centres), len(network.edges)), bool)
     if not len(edge):
         return hit
@@ -210,20 +212,21 @@ def meets(network: Network, centres: np.ndarray, radius: float, secured: float,
     return hit
 
 
-def exposed_parts(network: Network, secured: float, others: tuple[int, ...] = ()
+def exposed_parts(network: Network, secured: float, others: tuple[int, ...] = (), held=()
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The parts of edges ``secured`` or more from all ends: edges (K,), begins, ends (K, 2)."""
-    ends = ends_of(network, others)
+    discs = [(x, y, secured) for x, y in ends_of(network, others)]
+    ends, radii = np.split(np.array([*discs, *held]), [2], axis=1)
     start = network.points[network.tails]
     along = network.points[network.heads] - start
     length = np.hypot(*along.T)
     near = ((ends[:, None] - start) * along).sum(axis=2) / length**2
     off = np.linalg.norm(start + near[..., None] * along - ends[:, None], axis=2)
-    half = np.sqrt(np.maximum(secured**2 - off**2, 0.0)) / length
+    half = np.sqrt(np.maximum(radii**2 - off**2, 0.0)) / length
     cuts = np.vstack((0.0 * length, near - half, near + half, 0.0 * length + 1.0))
     cuts = np.sort(np.clip(cuts, 0.0, 1.0), axis=0)
     middle = start + ((cuts[1:] + cuts[:-1]) / 2)[..., None] * along
-    outside = np.linalg.norm(middle[:, :, None] - ends, axis=3).min(axis=2) > secured
+    outside = (np.linalg.norm(middle[:, :, None] - ends, axis=3) > radii[:, 0]).all(axis=2)
     piece, edge = np.nonzero(outside & (cuts[1:] > cuts[:-1] + 1e-12))
     begin, end = (start[edge] + cuts[piece + k, edge][:, None] * along[edge] for k in (0, 1))
     return edge, begin, end
@@ -244,22 +247,26 @@ def standing_places(risk_map: RiskMap, network: Network, secured: float,
     return points[outside], alpha[outside]
 
 
-def may_wait(network: Network, secured: float, others: tuple[int, ...] = ()) -> np.ndarray:
+def may_wait(network: Network, secured: float, others: tuple[int, ...] = (), held=()
+             ) -> np.ndarray:
     """(N,): whether a node is outside the secured area and costs something."""
     apart = np.linalg.norm(network.points[:, None] - ends_of(network, others), axis=2)
-    return (network.alpha > 0.0) & ((apart > secured).all(axis=1) | (secured == 0.0))
+    free = (apart > secured).all(axis=1) | (secured == 0.0)
+    for *place, radius in held:
+        free &= np.hypot(*(network.points - place).T) > radius
+    return (network.alpha > 0.0) & free
 
 
-def reached(network: Network, reach: float, secured: float, others: tuple[int, ...] = ()
+def reached(network: Network, reach: float, secured: float, others: tuple[int, ...] = (), held=()
             ) -> np.ndarray:
     """(N, M): whether an edge comes into reach of a node outside the secured area, and counts.
 
-    Without a reach, it has to lead to the node.
+    That is the area around the ends, and ``held`` discs (x, y, radius). Without a reach, the edge
+    has to lead to the node.
     """
-    if reach == 0.0:
-        return np.arange(len(network.points))[:, None] == network.heads
-    met = meets(network, network.points, reach, secured, others)
-    return met & may_wait(network, secured, others)[:, None]
+    met = (meets(network, network.points, reach, secured, others, held) if reach > 0.0 else
+           np.arange(len(network.points))[:, None] == network.heads)
+    return met & may_wait(network, secured, others, held)[:, None]
 
 
 def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
