@@ -4,6 +4,7 @@
 Geometry, hits and LPs share no code with the package (games.py).
 """
 
+import math
 from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -23,10 +24,23 @@ from games import (
     value_by_routes,
 )
 
-from ambush_planner import GameOptions, PlanningOptions, RiskMap, StrategyOptions, plan_trip
+from ambush_planner import (
+    GameOptions,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    StrategyOptions,
+    build_network,
+    plan_trip,
+    solve,
+)
+from ambush_planner.game.distribution.chain import chain_of
 from ambush_planner.game.distribution.route_distribution import RouteDistribution
+from ambush_planner.game.game import make_games
 from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
+from ambush_planner.planning import cell_losses
+from ambush_planner.planning.cell_losses import CellLosses, CellSearch
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
 
@@ -134,6 +148,36 @@ def test_if_no_distribution_is_found_what_the_lp_draws_is_the_strategy(monkeypat
     best = kept.plan.strategy
     shortest = kept.losses_on(shortest_route_strategy(best.game)).max()
     assert best.lower_bound <= strategy.value < shortest
+
+
+@pytest.mark.parametrize('share', [0.3, 0.9])
+def test_blocks_searched_best_first_leave_out_no_place(share, monkeypatch):
+    monkeypatch.setattr(cell_losses, '_AT_ONCE', 5)
+    rng = np.random.default_rng(4)
+    obstacles = np.kron(rng.random((15, 15)) < 0.1, np.ones((4, 4))) > 0
+    obstacles[:8, :8] = obstacles[-8:, -8:] = False
+    risk_map = RiskMap(rng.integers(1, 4, obstacles.shape), obstacles, 1.0)  # with many ties
+    network = build_network(risk_map, (3.0, 3.0), (57.0, 57.0), NetworkOptions(spacing=5.0))
+    (game,) = make_games((network,), GameOptions(ambush_radius=20.0, secured_radius=8.0,
+                                                 widened=math.sqrt(0.5)))
+    law, cells = chain_of(network, solve(network).edge_probability), CellLosses(risk_map, False)
+    search = CellSearch(cells, [game], law.uses(len(network.edges)) > 0.0)
+    all_cells = cells.dear_blocks(16)
+    for side in (16, 4):
+        all_cells = cells.divided(all_cells, side)
+    every = search._of_parts(all_cells, law, 0.0, 0.0)
+    above, apart = share * every.losses[0], 6.0
+    found = search.worst(law, above, apart)
+    assert 1 < len(found.points) < 100 and found.mean_loss.min() > above
+    assert found.mean_loss[0] == pytest.approx(every.losses[0], rel=EQUAL)
+    assert (np.diff(found.mean_loss) <= EQUAL).all()
+    between = np.linalg.norm(found.points[:, None] - found.points, axis=2)
+    assert (between + 2.0 * apart * np.eye(len(between)) > apart).all()
+    # Each place that costs more than asked is one of them, or near one that costs as much: those of
+    # all cells but for ties, which rounding decides.
+    dear = every.some(every.losses > above * (1.0 + EQUAL))
+    near = np.linalg.norm(dear.points[:, None] - found.points, axis=2) <= apart
+    assert (near & (found.mean_loss >= dear.losses[:, None] * (1.0 - EQUAL))).any(axis=1).all()
 
 
 @pytest.mark.parametrize('case', SMALL, ids=str)

@@ -16,7 +16,6 @@ from waiting import answer_of, held
 
 from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.ros.compute_path import ACTIONS
-from ambush_planner.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures('nav2')
 
@@ -167,14 +166,6 @@ def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submit
         assert goals.result(only)[0] == GoalStatus.STATUS_CANCELED
         assert goals.client.call('cancel').message == 'no solve is running'
         assert not goals.client.received['path']
-
-
-def test_goals_from_fixed_places_replace_none():
-    """Nobody knows who sends them: the map's frame is no robot."""
-    with asking() as goals, held(WorkerProcess, 'solve') as (_, go_on):
-        sent = [goals.send(goal=pose(8.5, y)) for y in (2.5, 8.5)]
-        go_on.set()
-        assert [goals.result(each)[0] for each in sent] == [GoalStatus.STATUS_SUCCEEDED] * 2
 
 
 def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):

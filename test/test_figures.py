@@ -46,10 +46,6 @@ def test_few_routes_are_numbered_and_many_are_not(axes):
     figures.draw_routes(axes, routes[:3])
     assert [text.get_text() for text in axes.texts] == ['1', '2', '3']
     assert len({line.get_color() for line in axes.lines}) == 3
-    twenty = Figure().subplots()
-    figures.draw_routes(twenty, routes[:20])
-    assert len(twenty.texts) == 20
-    assert len({(line.get_color(), line.get_linestyle()) for line in twenty.lines}) == 20
     many = Figure().subplots()
     figures.draw_routes(many, routes)
     assert not many.texts and {line.get_color() for line in many.lines} == {colours.ROUTES[0]}

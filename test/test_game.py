@@ -11,7 +11,7 @@ from ambush_planner import GameOptions, Network, NoRoute, StrategyOptions, solve
 from ambush_planner.game.game import make_game
 
 
-@examples(20)
+@examples(10)
 @given(networks(), st.sampled_from((0.5, 2.0, 3.0)))
 def test_nodes_over_the_threshold_are_never_driven_through(network, limit):
     free = StrategyOptions(max_detour=np.inf)
@@ -22,7 +22,7 @@ def test_nodes_over_the_threshold_are_never_driven_through(network, limit):
     assert network.alpha[strategy.visit_probability > 0.0].max() <= limit
 
 
-@examples(20)
+@examples(10)
 @given(networks(), st.floats(0, 8))
 def test_the_ambusher_never_waits_on_secured_ground(network, radius):
     game = make_game(network, GameOptions(secured_radius=radius))

@@ -60,7 +60,7 @@ def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, se
     assert len(kept & able) == len(able)
 
 
-@examples(25)
+@examples(15)
 @given(networks(), st.integers(0, 10**6), st.sampled_from((0.1, 1.0, 30.0)))
 def test_every_route_has_the_probability_of_its_weight(network, seed, size):
     case = forward(network)
@@ -81,7 +81,7 @@ def test_every_route_has_the_probability_of_its_weight(network, seed, size):
     assert p == pytest.approx(used, abs=1e-12)
 
 
-@examples(15)
+@examples(8)
 @given(networks(alphas=PLAIN), st.floats(0.2, 0.99), st.sampled_from((0.0, 5.0)))
 def test_infeasible_limits_are_proved_infeasible(network, tightness, heaviest):
     """All of the source's edges together may be used less than once."""

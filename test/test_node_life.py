@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
+from concurrent.futures import Future
 from types import SimpleNamespace
 
 import pytest
@@ -28,6 +29,7 @@ from ambush_planner.planning.changed_ground import Assessment
 from ambush_planner.ros import planner_node
 from ambush_planner.ros.diagnostics import Problem, Status, status_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
+from ambush_planner.ros.serial_executor import SerialExecutor
 from ambush_planner.worker.solve_errors import SolveCancelled
 
 SMALL = [Parameter('network.spacing', value=1.0), Parameter('recording.enabled', value=False)]
@@ -62,6 +64,20 @@ def test_an_error_of_a_request_disappears_and_a_bad_map_stays(monkeypatch):
         client.diagnostics(code='INVALID_MAP', level=DiagnosticStatus.ERROR)
         client.publish('alpha_map', risk_grid())
         client.diagnostics(code='NONE')
+
+
+def test_an_error_of_any_work_reaches_somebody_and_so_does_the_end():
+    errors, future, late, cancelled = [], Future(), Future(), Future()
+    executor = SerialExecutor('work', errors.append)
+    cancelled.cancel()
+    for each in (future, cancelled, None):
+        executor.submit(lambda: 1 / 0, *[each] if each else [])
+    executor.finish()
+    executor.close()
+    executor.submit(lambda: None, late)
+    assert isinstance(future.exception(0.0), ZeroDivisionError) and cancelled.cancelled()
+    assert [type(each) for each in errors] == [ZeroDivisionError]
+    assert isinstance(late.exception(0.0), SolveCancelled)
 
 
 @pytest.mark.parametrize('errors, level, code', [

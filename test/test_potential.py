@@ -5,7 +5,6 @@ Its value is compared with that of all mixtures of routes in test_reach.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,10 +17,8 @@ from games import (
     terrain_network,
     value_by_routes,
 )
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
-from test_routes import legs_on
-from test_trip import roads_of
 
 from ambush_planner import GameOptions, Network
 from ambush_planner.game.ambusher import Ambusher
@@ -30,9 +27,7 @@ from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.legs import Legs
-from ambush_planner.game.value.edge_flows import EdgeFlows
 from ambush_planner.game.value.potential import POTENTIAL, Potential
-from ambush_planner.game.value.routes import Routes
 
 
 def one_leg(game, detour=np.inf) -> Legs:
@@ -54,29 +49,6 @@ def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, m
     lp = lp_of(one_leg(make_game(network, GameOptions()), detour))
     least = lp_value(network, detour * least_weight(network, network.lengths))
     assert least * (1.0 - POTENTIAL.precision) <= lp.bound <= least * (1.0 + 1e-6)
-
-
-@examples(16)
-@given(st.integers(0, 10**6), st.sampled_from([(0, 0.0), (0, 1.0), (0, 2.5), (1, 0.0), (2, 0.0)]),
-       st.sampled_from([1.0, 1.05, 1.3, math.inf]))
-def test_potentials_and_edge_flows_of_legs_have_the_value_of_routes(seed, stops_and_reach, detour):
-    """And the judge reproduces the bound from the circulations, or from q alone."""
-    stops, reach = stops_and_reach
-    assume(stops or detour > 1.0)  # a mixture of potentials keeps a budget up to rounding
-    legs = legs_on(roads_of(seed, stops, 6), reach, detour)
-    routes = Routes(legs, 1e-3)
-    lp = EdgeFlows(legs, 1e-4) if stops else Potential(legs, make_faces(legs.games[0]), 1e-3)
-    lp.solve(math.inf)
-    routes.solve(math.inf)
-    assert lp.value >= routes.bound * (1.0 - 1e-6) and lp.bound <= routes.value * (1.0 + 1e-6)
-    assert lp.bound >= lp.value * (1.0 - 1.1e-3) - 1e-9
-    assert all(budget.keeps(p) for budget, p in zip(legs.budgets, legs.split(lp.flow),
-                                                    strict=True))
-    if lp.bound > 0.0:
-        ambusher = lp.ambush.ambusher(legs.games[0], np.ones(len(legs.loss), dtype=bool))
-        alone = replace(ambusher, circulations=())
-        for each in (ambusher, alone):
-            assert lower_bounds(legs, each).sum() >= lp.bound * (1.0 - 5e-3)
 
 
 def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():

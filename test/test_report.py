@@ -224,16 +224,3 @@ def test_losses_and_obstacles_come_through(data):
     assert cell == 2.5 and (levels == [0.0] or not obstacles.all())
     np.testing.assert_array_equal(cells == OBSTACLE, obstacles)
     np.testing.assert_array_equal(np.array(levels)[cells[~obstacles]], alpha[~obstacles])
-
-
-def test_blocks_of_a_large_map_show_each_obstacle_and_the_worst_loss():
-    rng = np.random.default_rng(2)
-    alpha, obstacles = rng.integers(1, 50, (3, 4001)) / 5.0, rng.random((3, 4001)) < 0.1
-    cells, levels, cell = map_cells(RiskMap(alpha, obstacles, 2.0))
-    assert cells.shape == (1, 1334) and cell == 6.0
-    for k in range(1334):
-        block = np.s_[:, 3 * k:3 * k + 3]
-        if obstacles[block].any():
-            assert cells[0, k] == OBSTACLE
-        else:
-            assert levels[cells[0, k]] == alpha[block].max()
