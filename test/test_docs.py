@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Public names are listed, formulas parse, and examples run."""
+"""Public names are listed, formulas parse, examples run, and docstrings begin with what they do."""
 
 import ast
 import doctest
@@ -10,6 +10,9 @@ from commands import ROOT
 
 import ambush_planner
 
+SOURCES = sorted(path for folder in ('ambush_planner', 'examples', 'paper')
+                 for path in ROOT.joinpath(folder).rglob('*.py'))
+CLAUSE = re.compile(r'(What|Who|Whoever|How|Whether|Where|When|Which|If|He)\b')
 DOCUMENTS = sorted(path for folder in ('.', 'docs', 'examples')
                    for path in ROOT.joinpath(folder).glob('*.md'))
 
@@ -24,6 +27,21 @@ def test_the_reference_lists_every_public_name_with_its_file():
     for name, file in found:
         source = (ROOT / 'docs' / file).read_text()
         assert re.search(rf'(?m)^(class|def) {name}\b', source), name
+
+
+def test_docstrings_begin_with_a_verb_or_a_noun():
+    """None is a clause that its reader has to finish, or somebody's question."""
+    found = {f'{path.relative_to(ROOT)}:{node.lineno}' if hasattr(node, 'lineno') else path.name
+             for path in SOURCES for node in ast.walk(ast.parse(path.read_text()))
+             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+             and CLAUSE.match(ast.get_docstring(node) or '')}
+    assert not found
+
+
+def test_prose_is_free_of_words_that_send_readers_back():
+    found = {(path.name, word) for path in [*SOURCES, *DOCUMENTS]
+             for word in re.findall(r'(?i)\b(?:whoever|anew|so many)\b', path.read_text())}
+    assert not found
 
 
 def test_formulas_parse():
