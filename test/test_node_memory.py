@@ -10,7 +10,7 @@ from weakref import ref
 
 import pytest
 from robots import ROBOT
-from ros_harness import FLAT, pose, risk_grid, stage, wait_until
+from ros_harness import FLAT, pose, stage, wait_until
 from test_one_draw_a_trip import Drive
 
 from ambush_planner.ros import plan_cache
@@ -22,16 +22,6 @@ def no_collection():
     gc.disable()
     yield
     gc.enable()
-
-
-def test_a_plan_that_gives_way_to_others_is_freed(monkeypatch, no_collection):
-    monkeypatch.setattr(plan_cache, '_MAX_PLANS', 1)
-    with stage() as running:
-        client, plans = running.give(risk_grid(FLAT)), []
-        for y in range(2, 6):
-            assert client.get_plan(pose(1.5, 5.5), pose(8.5, y)).poses
-            plans.append(ref(running.planner._dispatcher._plans._plans[-1].plan))
-        wait_until(lambda: all(each() is None for each in plans[:-1]), 'the plans being freed')
 
 
 def test_trips_keep_neither_plans_nor_maps(monkeypatch, no_collection):
