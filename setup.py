@@ -81,7 +81,6 @@ setup(
             *gis,
             'networkx>=2.8',
             'behaviortreepy',  # BehaviorTree.CPP's parser
-            'playwright>=1.40',  # controls Chromium, if that is installed
             'pytest>=7.4',
             'pytest-timeout',
             'pytest-xdist',

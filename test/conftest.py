@@ -5,10 +5,8 @@ import gc
 import os
 import random
 import secrets
-import shutil
 import signal
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -83,20 +81,6 @@ def files(tmp_path_factory):
     """Recordings of six departures of a node, which tests read and do not change."""
     from forging import record_runs  # imports ROS
     return record_runs(tmp_path_factory.mktemp('recorded'))
-
-
-@pytest.fixture(scope='module')
-def browser():
-    """Headless Chromium, controlled by Playwright."""
-    sync_api = pytest.importorskip('playwright.sync_api', reason='no Playwright: no rosdep key')
-    binary = shutil.which('chromium') or shutil.which('google-chrome')
-    if not binary:
-        pytest.skip('no Chromium here; on Debian: apt install chromium')
-    # It has its own libraries, not those of ROS from Python wheels.
-    environment = {key: each for key, each in os.environ.items() if key != 'LD_LIBRARY_PATH'}
-    with sync_api.sync_playwright() as playwright, closing(playwright.chromium.launch(
-            executable_path=binary, env=environment, args=['--disable-gpu'])) as browser:
-        yield browser
 
 
 @pytest.fixture

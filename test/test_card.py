@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """``ambush card``: legs of a path, and a page that tells of one departure only."""
 
+import os
 import re
+import subprocess
+import threading
 from base64 import b64decode
 from datetime import datetime
 from io import BytesIO
@@ -16,10 +19,12 @@ from games import examples, plain_options
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from test_report_browser import BINARY
 
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card, card_page, draw
 from ambush_planner.commands.card_map import card_map
+from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.occupancy import risk_from_occupancy
 from ambush_planner.maps.risk_map import RiskMap
@@ -241,8 +246,20 @@ def test_one_of_few_routes(tmp_path):
         assert done.code == 2 and words in done.err and not (tmp_path / 'c.html').exists()
 
 
+def test_progress_is_shown_while_a_card_is_drawn(road_plan, tmp_path, monkeypatch):
+    """Drawing it ends when progress has been shown."""
+    assert run_here(draw, road_plan, '--date', '2030-01-01').code == 0
+    said = threading.Event()
+    monkeypatch.setattr(Console, 'step', lambda console, text: said.set())
+    monkeypatch.setattr(card_page, 'card_page', lambda *_: f'a card {said.wait(30.0)}')
+    (recording,) = (tmp_path / 'road.departures').iterdir()
+    done = run_here(card, recording, '-o', tmp_path / 'c.html')
+    assert done.code == 0 and (tmp_path / 'c.html').read_text() == 'a card True'
+
+
+@pytest.mark.skipif(BINARY is None, reason='no Chromium here; on Debian: apt install chromium')
 @pytest.mark.parametrize(('turns', 'tables'), [(12, 1), (32, 2)])
-def test_a_card_fits_one_page_of_a4_and_of_letter(browser, turns, tables, tmp_path):
+def test_a_card_fits_one_page_of_a4_and_of_letter(turns, tables, tmp_path):
     """Stairs of named roads: a turn at each corner, and a road that goes straight on there."""
     corners = [(300.0 * ((k + 1) // 2), 300.0 * (k // 2)) for k in range(turns + 2)]
     beyond = [tuple(2 * np.array(b) - a) for a, b in pairwise(corners)]
@@ -263,9 +280,13 @@ def test_a_card_fits_one_page_of_a4_and_of_letter(browser, turns, tables, tmp_pa
     assert done.code == 0, done.err
     page = (tmp_path / 'card.html').read_text()
     assert page.count('<table>') == tables and len(rows_of(page)) == turns + 2
-    printed = browser.new_page()
-    printed.goto((tmp_path / 'card.html').as_uri())
     for size in ('A4', 'Letter'):
-        printed.add_style_tag(content=f'@page {{ size: {size}; }}')
-        pages = re.findall(rb'/Count (\d+)', printed.pdf(prefer_css_page_size=True))
-        assert pages == [b'1'], size
+        file = tmp_path / f'{size}.html'
+        file.write_text(page.replace('@page {', f'@page {{ size: {size};'))
+        subprocess.run([BINARY, '--headless', '--no-sandbox', '--disable-gpu', '--no-first-run',
+                        '--disable-background-networking', '--no-pdf-header-footer',
+                        f'--user-data-dir={tmp_path / "profile"}',
+                        f'--print-to-pdf={tmp_path / "card.pdf"}', file.as_uri()],
+                       check=True, capture_output=True, timeout=120,
+                       env={k: v for k, v in os.environ.items() if k != 'LD_LIBRARY_PATH'})
+        assert re.findall(rb'/Count (\d+)', (tmp_path / 'card.pdf').read_bytes()) == [b'1'], size
