@@ -47,7 +47,7 @@ setup(
     ],
     packages=find_packages(include=[package_name, f'{package_name}.*']),
     package_data={package_name: ['py.typed', 'recordings/definitions.json', *(
-        f'commands/*.{kind}' for kind in ('css', 'html', 'js', 'qml'))]},
+        f'commands/*.{kind}' for kind in ('css', 'html', 'qml'))]},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),

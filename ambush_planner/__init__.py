@@ -5,11 +5,14 @@ The public names are those of ``public``, which is imported when one of them is 
 most of a second, and commands refuse mistakes before.
 """
 
-from importlib import import_module
-from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+TYPE_CHECKING = False  # the module typing would be half of the start of a program
 if TYPE_CHECKING:
+    from typing import Any
+
     from .public import *  # noqa: F403
 
     __version__: str
@@ -23,6 +26,8 @@ def __getattr__(name: str) -> Any:
             return version(__name__)
         except PackageNotFoundError:  # a checkout that was never installed
             return 'unknown'
+    from importlib.util import find_spec
+
     # Modules of this package are no attributes before they are imported.
     if name != '__all__' and (name.startswith('_') or find_spec(f'{__name__}.{name}')):
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

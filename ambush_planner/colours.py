@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Colours of pictures, reports and layouts, which colour-blind readers can tell apart.
 
-`report_map.js`, `report.css`, `report_section.html` and the layouts in `config` repeat them.
+The layouts in `config` repeat them.
 """
 
 OBSTACLE = '#1c1714'

@@ -18,6 +18,8 @@ class _Gone(NamedTuple):
 
 
 _LOADS = 'leave it out: the value counts the whole loss on every leg'
+_BAG = 'leave it out, or play the file with ros2 bag play, which has --rate and --topics'
+_MOVED = 'if the files of a plan were only moved, add --ground-unchanged'
 _ORDER = 'give the stops in the order in which they are to be visited'
 # By the names that are typed: flags of ambush plan, parameters and options of --set.
 _GONE = {
@@ -27,6 +29,13 @@ _GONE = {
     '--order': _Gone(_ORDER),
     'audit -o': _Gone('the console says what it finds, and ambush report --verify shows it with '
                       'the routes'),
+    'replay --inputs-only': _Gone(_BAG),
+    'replay --rate': _Gone(_BAG),
+    'replay --topics': _Gone(_BAG),
+    'card --route': _Gone('leave it out: few routes (ambush plan --routes) are briefed by their '
+                          'map and their GPX file'),
+    'draw --map': _Gone(_MOVED),
+    'draw --roads': _Gone(_MOVED),
     'risk --roads': _Gone('the roads of a risk map are a layer: {roads: roads.gpkg, width: 8, '
                           'factor: 0.5, passable: true} (docs/risk_layers.md)'),
     '--terrain': _Gone('make a risk map of the elevation model with ambush risk, and plan on it'),

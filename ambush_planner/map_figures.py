@@ -31,8 +31,9 @@ from matplotlib.transforms import Affine2D
 from . import colours
 from .arrays import BoolArray, FloatArray, pooled
 from .errors import shown
-from .graticule import graticule, north, scale_bar
 from .maps.risk_map import RiskMap
+from .rulers import north, scale_bar
+from .rulers import ticks as ticks_along
 
 RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
 # Maximum cells across a picture; of larger maps it shows blocks of cells (``RiskMap.coarser``).
@@ -65,7 +66,7 @@ def draw_map(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike 
 
 def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | None = None,
           ticks: int = 4) -> None:
-    """Give the axes the map's extent, or a box, equal scales, and a graticule.
+    """Give the axes the map's extent, or a box, equal scales, and ticks.
 
     Each edge has up to about ``ticks`` ticks.
     """
@@ -74,12 +75,10 @@ def frame(axes: Axes, risk_map: RiskMap, title: str = '', box: npt.ArrayLike | N
     axes.set_title(title, fontsize='medium', loc='left', linespacing=1.4)
     axes.patch.set(facecolor=UNKNOWN.get_facecolor(), edgecolor=UNKNOWN.get_edgecolor(),
                    hatch=UNKNOWN.get_hatch())
-    grid = graticule(risk_map, corners, ticks)
-    for line in grid.lines:
-        axes.plot(*line.T, color='0.3', linewidth=0.5, alpha=0.5, zorder=1)
-    for name, axis, (at, texts) in zip('xy', (axes.xaxis, axes.yaxis), grid.ticks, strict=True):
-        axis.set_ticks(at, texts, fontsize='small' if grid.lines else 'medium')
-        axis.set_label_text(f'{name} [{grid.unit}]' if grid.unit else '')
+    along, unit = ticks_along(risk_map, corners, ticks)
+    for name, axis, (at, texts) in zip('xy', (axes.xaxis, axes.yaxis), along, strict=True):
+        axis.set_ticks(at, texts)
+        axis.set_label_text(f'{name} [{unit}]')
     axes.set(xlim=corners[:, 0], ylim=corners[:, 1])
 
 

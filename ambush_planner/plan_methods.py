@@ -7,8 +7,7 @@ those above it, nor the optional packages of figures and tables.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from datetime import datetime, timezone
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,22 +39,6 @@ def save(plan: Plan, files: Sequence[Path | str], n: int, rng: Random) -> list[F
     drawn = draw(plan, n, rng)
     write_routes([Path(file) for file in files], drawn, plan)
     return list(drawn.paths)
-
-
-def routes(plan: Plan, n: int, rng: Random) -> Any:
-    """Draw ``n`` routes and return their paths as a GeoDataFrame."""
-    from .planning.route_layers import line_table, route_columns
-
-    paths, times = plan.paths(n, rng), [datetime.now(timezone.utc)] * n
-    return line_table(route_columns(paths, times), paths,
-                      plan.risk_map.crs if plan.risk_map else None)
-
-
-def tables(plan: Plan) -> Mapping[str, Any]:
-    """The strategies and the ground as GeoDataFrames."""
-    from .planning.route_layers import strategy_tables
-
-    return strategy_tables(plan.drawn_from, plan.own_map)
 
 
 def frontier(plan: Plan, detours: Sequence[float] | None,

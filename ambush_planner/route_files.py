@@ -165,14 +165,11 @@ def content_of(path: Path, drawn: Drawn) -> bytes:
 
 
 def _csv(drawn: Drawn) -> bytes:
-    from .planning.route_layers import lines_in_system
-
     columns, text = drawn.columns, io.StringIO()
     writer = csv.writer(text, lineterminator='\n')
     writer.writerow(['WKT', *columns])
-    for line, *row in zip(lines_in_system(drawn.paths, drawn.risk_map.crs), *columns.values(),
-                          strict=True):
-        corners = ','.join(f'{x:.4f} {y:.4f}' for x, y in line)
+    for path, *row in zip(drawn.paths, *columns.values(), strict=True):
+        corners = ','.join(f'{x:.4f} {y:.4f}' for x, y in path[:, :2])
         writer.writerow([f'LINESTRING ({corners})', *row])
     return text.getvalue().encode()
 
@@ -186,30 +183,10 @@ def _geojson(tables: Mapping[str, Any]) -> bytes:
         if shown.crs:
             shown.geometry = shown.segmentize(longest_edge(shown.crs))
             shown = shown.to_crs(WGS84)
-            shown.geometry = [_cut_at_180(shape) for shape in shown.geometry]
+            if (shown.bounds['maxx'] - shown.bounds['minx']).max() > 180.0:
+                raise InvalidCoordinates('GeoJSON would cut what crosses 180 degrees; write .gpkg')
         features += json.loads(shown.to_json(drop_id=True, show_bbox=False))['features']
     return json.dumps({'type': 'FeatureCollection', 'features': features}).encode()
-
-
-def _cut_at_180(shape: Any) -> Any:
-    """A shape in degrees; one that crosses 180 degrees as its parts on both sides (RFC 7946)."""
-    import numpy as np
-    import shapely
-
-    first = shapely.get_coordinates(shape)[0, 0]
-    whole = shapely.transform(shape, lambda at: np.column_stack((
-        (at[:, 0] - first + 180.0) % 360.0 + first - 180.0, at[:, 1])))
-    west, _, east, _ = whole.bounds
-    if -180.0 <= west and east <= 180.0:
-        return shape
-    parts = []
-    for turn in (-360.0, 0.0, 360.0):
-        side = whole.intersection(shapely.box(turn - 180.0, -90.0, turn + 180.0, 90.0))
-        moved = shapely.transform(side, lambda at, turn=turn: at - (turn, 0.0))
-        parts += [each for each in shapely.get_parts(moved)
-                  if each.geom_type in shape.geom_type and not each.is_empty]
-    kind = {'L': shapely.multilinestrings, 'P': shapely.multipolygons}[parts[0].geom_type[0]]
-    return kind(parts)
 
 
 def _gpx(drawn: Drawn) -> bytes:

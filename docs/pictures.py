@@ -53,7 +53,6 @@ COMMANDS = {
     'six': ('six.png', (*_ROADS, ('operations.md', '-o six.png'))),
     'card': ('card.html', (*_ROADS, ('operations.md', '-o week.plan'),
                            ('operations.md', '-o card.html'))),
-    'tutorial_frontier': ('frontier.png', (_YARD, ('tutorial.md', '-o frontier.csv'))),
     'tutorial_routes': ('plan.png', (_YARD, ('tutorial.md', '-o plan.png'))),
 }
 # What a browser shows of pages [pixels], and its names.

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From heights to tracks for a GPS: writes routes.gpx."""
 
-import os
-
 import numpy as np
 
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
@@ -23,7 +21,6 @@ options = PlanningOptions(game=GameOptions(ambush_radius=300.0))
 plan = plan_trip(risk_map, (west + 300.0, south + 2200.0), (west + 5700.0, south + 2300.0), options)
 print(f'value {plan.strategy.value:.2f}, lower bound {plan.strategy.lower_bound:.2f}')
 
-os.umask(0o077)  # routes are secret: only you may read the file
-routes = plan.routes(5)  # a GeoDataFrame in the map's coordinate system
-print(routes[['departure', 'length']].round().to_string(index=False))
-routes[['geometry']].to_crs('EPSG:4326').to_file('routes.gpx', driver='GPX', layer='tracks')
+paths = plan.save('routes.gpx', n=5)  # secret: only you may read the file
+for number, path in enumerate(paths, start=1):
+    print(f'departure {number}: {np.hypot(*np.diff(path[:, :2], axis=0).T).sum():.0f} m')

@@ -53,12 +53,6 @@ def roads(name='roads.gpkg', frame=None, text=None, **options):
     return say
 
 
-def with_levels():
-    bridge = CORNER + [(200.0, -100.0), (200.0, 10.0), (200.0, 100.0)]
-    halves = STRAIGHT[:2], STRAIGHT[1:], bridge[:2], bridge[1:], ROUND
-    return lines(*halves, highway=['road'] * 5, F_ZLEV=[0, 0, 0, 1, 0], T_ZLEV=[0, 0, 1, 0, 0])
-
-
 def short_side_road():
     end = CORNER + (100.0, 10.03)
     shapes = [Coordinates(CRS).to_lat_lon(each)[:, ::-1] for each in (
@@ -108,7 +102,7 @@ def route_graph(*frames):
     return json.dumps({'type': 'FeatureCollection', 'features': [*nodes, edge]})
 
 
-DRAWING = ('0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n2\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n0\n'
+DRAWING = ('0\nSECTION\n2\nENTITIES\n0\n'
            'LINE\n8\nROADS\n10\n0\n20\n0\n11\n9\n21\n9\n0\nENDSEC\n0\nEOF\n')
 KLASSE = lines(klasse=['path', 'street'])
 IN_DEGREES = lines(highway=['road', 'road']).to_crs(4326)
@@ -118,7 +112,7 @@ ROADS = {
     'roads of a city, `klasse` says what they are': roads(frame=KLASSE),
     'footways of TIGER': roads('a.shp', lines(MTFCC=['S1710', 'S1400'])),
     'a drawing, its layers are `Layer`': roads(frame=lines(Layer=['POWER', 'ROADS'])),
-    'a drawing in feet': roads('a.dxf', text=DRAWING),
+    'a drawing as `.dxf`': roads('a.dxf', text=DRAWING),
     'a map of lanelet2': roads('a.osm', text=OSM.replace('highway', 'type').replace(
         'TAGS', '<tag k="type" v="line_thin"/>')),
     '`--all-lines-are-roads` for data that are known': roads(
@@ -137,7 +131,10 @@ ROADS = {
     'a shapefile with fewer rows than shapes': fewer_rows,
     'a shapefile without `.dbf`': without_dbf,
     'a side road that ends 3 cm short, in degrees': roads('a.geojson', short_side_road()),
-    'bridge and road with levels at their ends': roads('a.shp', with_levels()),
+    'levels at the ends of roads, `F_ZLEV`': roads('a.shp', lines(
+        **NAMES, oneway=['no', 'no'], F_ZLEV=[0, 1])),
+    'roads of Overture': roads(frame=lines(**{
+        'subtype': ['road', 'rail'], 'class': ['track', ''], 'access_restrictions': ['[]', '[]']})),
     'a way with `visible="false"`': roads('a.osm', text=OSM.replace(
         'TAGS', '<tag k="highway" v="road"/>').replace(
             '<way id="12"', "<way id='12' visible = 'false'")),
@@ -221,7 +218,6 @@ TABLES = {
     'times as milliseconds since 1970': tracks(rows('x,y,timestamp', range(
         1741000000000, 1741000020000, 1000))),
     'dates such as 07.04.2026': incidents(dated('07.04.2026', '2026-04-07')),
-    '`until: 1/4/2026`': incidents(dated('2025-03-31'), until='1/4/2026'),
     '`easting` and `northing` in `zone` 34': tracks(
         rows('easting,northing,zone', ['34'] * 20)),
     'degrees and minutes in `lat`': tracks('lat,lon\n48 50.5,14 23.1\n'),

@@ -118,7 +118,6 @@ def test_two_strategies_are_tested_each_under_its_own_distribution(terrain, pape
     assert result.value == pytest.approx(
         (19 * terrain.value + 20 * paper.value + 20 * other.value) / 59
     )
-    assert result.expected.sum() == pytest.approx(20 * sum(s.edge_probability.sum() for s in three))
     wrong = [departed(terrain, route) for route in drawn(other, 60, 8)]
     assert audit([*honest, *wrong]).finding
 
@@ -165,7 +164,7 @@ def test_legs_of_a_trip_are_audited_together(two_ways):
     assert result.observer_losses[:4].tolist() == [2.0, 0.0, 3.0, 0.0]
     assert result.observer_losses[4] in (0.0, 6.0)
     assert (result.departures, result.strategies, result.impossible) == (6, 1, 0)
-    assert result.expected.sum() == pytest.approx(6 * 2 * 2) and not result.finding
+    assert not result.finding
     swapped = audit([Departure(trip, (np.array([3, 1, 0]), np.array([0, 1, 3])))] * 5)
     assert swapped.impossible == 5 * 2 * (2 + 2) and swapped.finding
 

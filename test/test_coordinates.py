@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from commands import heard
 from games import HUNT, random_map
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
@@ -11,15 +12,16 @@ pytest.importorskip('pyproj', reason='coordinate systems take the extra "gis"')
 pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')
 
 import pyproj
-import rasterio
+from rasters import write_geotiff as write_raster
 
-from ambush_planner import InvalidRiskMap, RiskMap
+from ambush_planner import InvalidRiskMap
 from ambush_planner.errors import InvalidCoordinates
 from ambush_planner.maps import OccupancyOptions
 from ambush_planner.maps.coordinates import Coordinates
+from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-from ambush_planner.maps.risk_map_file import in_local_frame, read_risk_map, write_geotiff
+from ambush_planner.maps.risk_map_file import read_risk_map, write_geotiff
 
 GEOD = pyproj.Geod(ellps='WGS84')
 # The zone of a place takes pyproj 0.1 s to find, so nothing is shrunk.
@@ -46,27 +48,28 @@ def test_a_robots_frame_is_that_of_its_datum(latitude, longitude, yaw, far, bear
 
 
 @pytest.mark.parametrize(('latitude', 'longitude', 'code'), ZONES)
-def test_a_datum_is_in_the_utm_zone_that_navsat_transform_takes(latitude, longitude, code):
-    frame = Coordinates(f'datum {latitude} {longitude} 0')
-    assert frame.crs.to_epsg() == code
-    east, north = pyproj.Transformer.from_crs(4326, code, always_xy=True).transform(
-        longitude, latitude)
-    assert frame.to_crs((0.0, 0.0)) == pytest.approx((east, north), abs=1e-6)
+def test_a_datum_is_the_turned_utm_zone_of_navsat_transform(latitude, longitude, code):
+    """It rotates the zone of the datum by yaw and the convergence there, and moves it."""
+    zone, yaw = pyproj.Proj(code), 0.7
+    turn = yaw + np.radians(zone.get_factors(longitude, latitude).meridian_convergence)
+    offsets = np.random.default_rng(1).uniform(-3e3, 3e3, (50, 2))
+    matrix = np.array([(np.cos(turn), np.sin(turn)), (-np.sin(turn), np.cos(turn))])
+    degrees = zone(*(offsets @ matrix + zone(longitude, latitude)).T, inverse=True)
+    frame = Coordinates(f'datum {latitude} {longitude} {yaw}')
+    np.testing.assert_allclose(frame.from_lat_lon(np.transpose(degrees[::-1])), offsets, atol=0.1)
 
 
 @pytest.mark.parametrize('crs', ['EPSG:32616', 'EPSG:5070', 'EPSG:32616+5703',
-                                 pyproj.CRS('EPSG:2193').to_wkt(), 'datum 60.4 5.3 -2'])
+                                 pyproj.CRS('EPSG:2193').to_wkt()])
 def test_degrees_and_metres_are_those_of_pyproj(crs):
     system = Coordinates(crs)
     west, south, east, north = system.crs.area_of_use.bounds
     degrees = np.random.default_rng(1).uniform((south, west), (north, east), (50, 2))
-    if crs.startswith('datum'):
-        degrees = (60.4, 5.3) + 0.01 * degrees / np.abs(degrees).max()
     xy = system.from_lat_lon(degrees)
     there = pyproj.Transformer.from_crs(4326, system.crs).transform(*degrees.T)
     if system.crs.axis_info[0].direction == 'north':
         there = there[::-1]
-    np.testing.assert_allclose(system.to_crs(xy), np.transpose(there), atol=1e-3)
+    np.testing.assert_allclose(xy, np.transpose(there), atol=1e-3)
     np.testing.assert_allclose(system.to_lat_lon(xy), degrees, atol=1e-8)
 
 
@@ -111,21 +114,19 @@ def test_files_keep_map_and_system(tmp_path, crs):
         assert (one.origin, one.crs) == (other.origin, other.crs)
 
 
-def test_a_map_in_a_robots_frame_stays_where_it_is_on_the_earth(tmp_path):
-    """Its cells, and those of its rotated GeoTIFF, have the latitudes and longitudes of before."""
-    datum, code = 'datum -33.9 18.4 0.7', 32734
-    east, north = Coordinates(datum).to_crs((-800.0, 300.0))
-    values = np.arange(20, dtype=np.int8).reshape(4, 5)
-    before = OccupancyMap(values, 30.0, (east, north, 0.0), f'EPSG:{code}')
-    after = in_local_frame(before, datum)
-    maps = [RiskMap(values, values < 0, 30.0, grid.origin, grid.crs) for grid in (before, after)]
-    one, other = (Coordinates(each.crs).to_lat_lon(each.to_world([(15.0, 15.0), (135.0, 105.0)]))
-                  for each in maps)
-    np.testing.assert_allclose(one, other, atol=1e-9)
-    write_geotiff(tmp_path / 'm.tif', after)
-    with rasterio.open(tmp_path / 'm.tif') as file:
-        assert file.crs.to_epsg() == code and file.read(1)[0, 4] == 19
-        np.testing.assert_allclose(file.xy(3, 0), Coordinates(f'EPSG:{code}').from_lat_lon(one[0]),
-                                   atol=1e-4)
-    with pytest.raises(InvalidCoordinates, match='reproject'):
-        in_local_frame(before, 'datum 50 10 0')
+def test_an_elevation_model_comes_into_the_frame_of_a_robot(tmp_path):
+    """Heights that are a plane in their system are those there at each cell's latitude."""
+    datum = 'datum 36.6 -84.3 0.7'
+    east, north = pyproj.Transformer.from_crs(4326, 32616, always_xy=True).transform(-84.3, 36.6)
+    rows, columns = np.mgrid[:40, :40] + 0.5
+    path = write_raster(tmp_path / 'a.tif', 3.0 * rows + columns, place=(
+        30.0, 0.0, east - 600.0, 0.0, -30.0, north + 600.0))
+    raster, said = heard(read_raster, path, crs=datum)
+    assert raster.crs == datum and f'to {datum}' in said
+    middle = np.array(raster.values.shape) // 2
+    cells = middle + [(-2, 3), (4, -5)]
+    xy = raster.corner + (cells[:, ::-1] + 0.5) * (raster.column_step, raster.row_step)
+    assert np.hypot(*xy.T).max() < 400.0
+    lat_lon = Coordinates(datum).to_lat_lon(xy)
+    there = Coordinates('EPSG:32616').from_lat_lon(lat_lon) - (east - 600.0, north + 600.0)
+    np.testing.assert_allclose(raster.values[tuple(cells.T)], there @ (1.0 / 30.0, -0.1), atol=0.01)

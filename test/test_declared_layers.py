@@ -10,7 +10,7 @@ from commands import heard
 from rasters import write_geotiff
 from shapely.geometry import LineString, MultiPoint, Point, box
 
-from ambush_planner import AmbushPlannerError, AmbushPlannerWarning, RiskMap
+from ambush_planner import AmbushPlannerError, RiskMap
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_layers import risk_from_layers
 from ambush_planner.maps.track_file import read_tracks
@@ -104,10 +104,8 @@ def test_the_system_at_the_top_is_that_of_files_without_one(tmp_path):
         top = {'crs': CRS} if terrain in layers else GRID
         risk_map = risk_from_layers({**top, 'layers': layers}, tmp_path).risk_map
         assert risk_map.crs == CRS and 100 <= risk_map.obstacles.sum() < 150
-    for top, words in (({}, 'coordinate system'), ({'crs': 'datum 48 14 0'}, 'datum .*terrain')):
-        with pytest.raises(AmbushPlannerError, match=words):
-            risk_from_layers({**top, 'layers': [terrain, {**area, 'polygons': 'f.geojson'}]},
-                             tmp_path)
+    with pytest.raises(AmbushPlannerError, match='coordinate system'):
+        risk_from_layers({'layers': [terrain, {**area, 'polygons': 'f.geojson'}]}, tmp_path)
 
 
 @pytest.mark.parametrize('yaw', [0.0, 0.5])
@@ -164,19 +162,14 @@ def test_positions_without_a_fix_are_counted(bad, tmp_path):
         assert len(said) < 300
 
 
-@pytest.mark.parametrize(('cut', 'count', 'words'), [
-    (lambda text: text[: len(text) // 2], 9, 'ends early, at line'),
-    (lambda text: text[:-6], 20, 'ends early'),
-    (lambda text: text[:600] + '\0\0' + text[602:], 8, 'damaged'),
-    (lambda text: text[:30], 0, 'ends early'), (lambda text: 'hello', 0, 'damaged'),
+@pytest.mark.parametrize(('cut', 'words'), [
+    (lambda text: text[: len(text) // 2], 'ends early, at line .*gpsbabel'),
+    (lambda text: text[:600] + '\0\0' + text[602:], 'damaged'),
+    (lambda text: text + '\n<trk>', 'damaged'), (lambda text: '', 'an empty file'),
+    (lambda text: 'hello', 'damaged'), (lambda text: '<gpx></gpx>', 'there is no track in it'),
 ])
-def test_files_that_end_early_are_read_up_to_there(cut, count, words, tmp_path):
+def test_files_that_end_early_are_refused(cut, words, tmp_path):
     (tmp_path / 'a.gpx').write_text(cut(gpx([None])))
-    if not count:
-        with pytest.raises(AmbushPlannerError, match=words) as refused:
-            read_tracks(str(tmp_path / 'a.gpx'), GROUND)
-        assert '\n' not in str(refused.value) and len(str(refused.value)) < 200
-        return
-    with pytest.warns(AmbushPlannerWarning, match=words):
-        (track,) = read_tracks(str(tmp_path / 'a.gpx'), GROUND)
-    assert count <= len(track.xy) <= count + 2
+    with pytest.raises(AmbushPlannerError, match=words) as refused:
+        read_tracks(str(tmp_path / 'a.gpx'), GROUND)
+    assert '\n' not in str(refused.value) and len(str(refused.value)) < 250

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which lines are roads, in which direction and how fast: tables of attributes and formats."""
 
-import json
 import math
 import re
 
@@ -93,7 +92,7 @@ def test_which_lines_are_roads_in_which_direction(tags, drivable, words):
 
 @pytest.mark.parametrize(('data', 'schema'), [
     ('OpenStreetMap', known.OPENSTREETMAP), ("Geofabrik's extracts", known.GEOFABRIK),
-    ('Overture', known.OVERTURE), ('TIGER', known.TIGER), ('Natural Earth', known.NATURAL_EARTH)])
+    ('TIGER', known.TIGER), ('Natural Earth', known.NATURAL_EARTH)])
 def test_the_documented_values_are_those_of_roads(data, schema):
     _, columns, values, _ = next(
         row for row in table_under('docs/roads.md', 'What is a road') if row[0] == data)
@@ -104,12 +103,7 @@ def test_the_documented_values_are_those_of_roads(data, schema):
         assert frozenset().union(*schema.values()) == {*values}
 
 
-TWO_WAY, OVERTURE = 'no column says directions', {'subtype': 'road', 'class': 'residential'}
-
-
-def rules(*given):
-    return {**OVERTURE, 'access_restrictions': json.dumps([
-        {'access_type': kind, 'when': when} for kind, when in given])}
+TWO_WAY = 'no column says directions'
 
 
 @pytest.mark.parametrize(('tags', 'around', 'drivable', 'words'), [
@@ -119,15 +113,6 @@ def rules(*given):
     ({'tags': {'highway': 'track', 'oneway': '-1'}}, {'tags': {'highway': 'road'}}, BACK, ''),
     ({'all_tags': '"highway"=>"track", "name"=>"a \\"b\\", c", "x"=>NULL, "oneway"=>"yes"'},
      {'all_tags': '"highway"=>"road"'}, AHEAD, ''),
-    ({**OVERTURE, 'subtype': 'rail'}, OVERTURE, NONE, 'rail 1'),
-    (rules(('denied', {'heading': 'backward'})), OVERTURE, AHEAD, ''),
-    (rules(('denied', {'heading': 'forward', 'mode': ['car', 'bus']})), OVERTURE, BACK, ''),
-    (rules(('denied', {'mode': ['bicycle']}), ('denied', {'vehicle': [{'value': 4}]})), OVERTURE,
-     BOTH, ''),
-    (rules(('denied', None)), OVERTURE, NONE, 'access_restrictions 1'),
-    (rules(('denied', None), ('allowed', {'mode': ['motor_vehicle']})), OVERTURE, BOTH, ''),
-    (rules(('denied', None), ('allowed', {'mode': ['car'], 'using': ['as_customer']})), OVERTURE,
-     NONE, 'access_restrictions 1'),
     ({'MTFCC': 'R1011'}, {'MTFCC': 'S1400'}, NONE, TWO_WAY),
     ({'MTFCC': 'S1500'}, {'MTFCC': 'S1400'}, BOTH, TWO_WAY),
     ({'featurecla': 'Road', 'type': 'Ferry, seasonal'},
@@ -155,8 +140,7 @@ def test_what_the_caller_declares(options, tags, around, drivable):
 
 
 @pytest.mark.parametrize('name', [
-    'DIR_TRAVEL', 'sens_de_circulation', 'RIJRICHTNG', 'reverse_cost', 'twoway',
-    'access_restrictions', 'направление'])
+    'DIR_TRAVEL', 'sens_de_circulation', 'RIJRICHTNG', 'reverse_cost', 'twoway', 'направление'])
 def test_columns_that_may_say_directions_are_refused(name):
     with pytest.raises(InvalidOption, match=f'may say directions: {name} has .*--two-way'):
         read(table({'highway': 'primary', name: '2'}))
@@ -255,8 +239,6 @@ def test_crossings_without_a_shared_vertex_are_counted_or_joined(second, tags, c
     ((300.0, 301.5), {}, 1, ''), ((0.0, -8.0), {}, 2, 'do not meet'),
     ((None, 308.0), {}, 1, ''),  # one of them has no heights
     ((None, None), {'bridge': ['yes', 'no']}, 2, 'do not meet'),
-    ((None, None), {'F_ELEV': [0, 1], 'T_ELEV': [0, 1]}, 2, 'do not meet'),
-    ((None, None), {'F_ELEV': [0, 1], 'T_ELEV': [0, 0], 'layer': [0, 0]}, 1, ''),
 ])
 @pytest.mark.parametrize('vertex', [True, False])
 def test_roads_at_different_heights_do_not_meet(heights, more, parts, words, vertex):
@@ -269,8 +251,7 @@ def test_roads_at_different_heights_do_not_meet(heights, more, parts, words, ver
     roads, said = heard(read_roads, lines, node_crossings=True)
     graph = networkx.Graph(map(tuple, roads.pairs.tolist()))
     # Between its ends, a road that climbs meets others at their vertices only.
-    assert networkx.number_connected_components(graph) == parts + (
-        not vertex and 'layer' in more)
+    assert networkx.number_connected_components(graph) == parts
     assert (words in said) or not vertex
 
 

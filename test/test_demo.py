@@ -73,7 +73,7 @@ def test_table_frontier_and_progress_agree_with_the_result(done, folder):
     assert value < float(rows['always the route of least risk'].split()[2])
     different, total = map(int, rows['different routes'].split(' of '))
     assert DEPARTURES - 1 <= different <= total == DEPARTURES
-    assert (folder / 'frontier.png').read_bytes().startswith(b'\x89PNG')
+    assert (folder / 'frontier.csv').read_text().startswith('swept,')
 
 
 def test_error_of_a_node_that_cannot_start_has_its_last_lines(tmp_path):

@@ -107,20 +107,6 @@ def test_a_value_that_rises_is_reported_and_solved_again_from_the_last_plan(runn
     assert warm == [True]
 
 
-def test_a_background_solve_that_is_cancelled_is_reported(running):
-    client = running.client
-    with held(WorkerProcess, 'solve'):
-        update(client, 10, 0, WALL)
-        report = client.diagnostics(stale='yes', state='solving')
-        assert 'a new plan is being' in report['message']
-        assert client.call('cancel').success
-    report = client.diagnostics(stale='yes', state='ready', level=b'\1')
-    wait_until(lambda: 'new solve was cancelled' in client.diagnostics()['message'], 'the report')
-    assert 'new obstacles' in report['message']
-    assert client.call('new_route').success
-    client.diagnostics(stale='no')
-
-
 @pytest.mark.parametrize('rows', [14, 20])
 def test_a_map_that_is_good_again_while_the_plan_is_solved_leaves_nothing_stale(running, rows):
     """Also if there is no route on the map that is solved."""

@@ -27,7 +27,7 @@ class ShortOfTime(Ground):
 @pytest.mark.parametrize('max_gap', [0.1, 0.01])
 def test_what_was_reached_in_time_departs_with_a_warning_or_not_at_all(monkeypatch, max_gap):
     monkeypatch.setattr(WorkerProcess, 'solve',
-                        lambda _, request, low_priority: plan_from_request(request))
+                        lambda _, request: plan_from_request(request))
     monkeypatch.setattr(trip, 'Ground', ShortOfTime)
     with stage(parameters={'strategy.max_gap': max_gap}) as running:
         client = running.give()

@@ -72,9 +72,9 @@ def test_every_command_of_the_page_works(tmp_path):
     for shown in (text for page in PAGES for text in blocks(page, 'text')):
         if 'pip install' not in shown and 'ros2' not in shown:
             assert set(words(shown).split()) <= known, shown
-    names = r'\b(?:routes|route|route_2|robot|driven|map|six|card|hold|week)\.(?!d)\w+'
+    names = r'\b(?:routes|route|robot|driven|map|six|card|hold|week)\.(?!d)\w+'
     files = set(re.findall(names, ' '.join(text for page in PAGES for text in blocks(page, 'sh'))))
-    assert len(files) == 18 and all((tmp_path / file).stat().st_size for file in files), files
+    assert len(files) == 16 and all((tmp_path / file).stat().st_size for file in files), files
     assert len(list((tmp_path / 'week.departures').iterdir())) == 5
     assert (tmp_path / 'report/report.html').stat().st_size
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Places to hold next: held places against all routes, plans and every candidate; the command."""
 
-import csv
 import json
+import re
 import time
 from dataclasses import replace
 
@@ -162,23 +162,20 @@ def inputs(tmp_path, yard):
 
 def run(folder, *options):
     return run_here(hold, folder / 'map.yaml', '--start', 3, 10, '--goal', 27, 10, '--reach', 2,
-                    '--held', 6, '-o', folder / 'hold.csv', folder / 'hold.png', '--set',
+                    '--held', 6, '-o', folder / 'hold.png', '--set',
                     'network.spacing=4', 'network.refine=0', *options)
 
 
-def test_the_command_writes_a_table_and_a_picture_and_names_the_places(inputs):
+def test_the_command_writes_a_picture_and_names_the_places(inputs):
     pytest.importorskip('matplotlib', reason='pictures need matplotlib')
     done = run(inputs, '--radius', 5, '-k', 1, '--candidates', inputs / 'places.csv')
     assert done.code == 0, done.err
     assert ' gate' in done.out and 'the other 4 candidates stay above' in done.out
-    with (inputs / 'hold.csv').open() as file:
-        (row,) = csv.DictReader(file)
-    assert row['name'].endswith(' gate') and float(row['value']) >= float(row['lower_bound'])
-    for name in ('hold.csv', 'hold.png'):
-        assert (inputs / name).stat().st_mode & 0o777 == 0o600
+    assert (inputs / 'hold.png').stat().st_mode & 0o777 == 0o600
+    value = float(re.search(r'gate +([\d.]+),', done.out)[1])
     places = done.out.partition("--set '")[2].partition("'")[0]
     done = run(inputs, places, '--radius', 5, '-k', 1, '--json')
-    assert json.loads(done.out)['value'] == pytest.approx(float(row['value']), rel=1e-6)
+    assert json.loads(done.out)['value'] == pytest.approx(value, rel=1e-3)
 
 
 @pytest.mark.parametrize(('text', 'reason'), [

@@ -7,10 +7,8 @@ import os
 import numpy as np
 import pytest
 import yaml
-from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from ros_harness import free_domain, ros_context, stage
-from waiting import answer_of
 
 from ambush_planner.errors import InvalidOption
 from ambush_planner.game.game import GameOptions
@@ -125,65 +123,36 @@ def test_a_costmap_gives_the_chance_to_be_met_or_losses():
         assert ground.alpha[0, :4] == pytest.approx(losses)
 
 
-# Pairs that contradict the defaults of one another, infinities, and an empty string.
-DUMPED = {
-    'map.alpha_min': 20.0, 'map.alpha_max': 30.0, 'strategy.solver': 'simplex',
-    'strategy.length_weight': 0.5, 'strategy.max_detour': math.inf, 'robot_base_frame': '',
-    'recording.enabled': False, 'seed': 7,
-}
-
-
-def dump(node):
-    """The parameters as ``ros2 param dump`` writes them."""
-    # Read-only in each node of rclpy: loading a dump reports it and goes on.
-    names = sorted({*node.list_parameters([], 0).names} - {'start_type_description_service'})
-    tree = {}
-    for name in names:
-        *groups, last = name.split('.')
-        branch = tree
-        for group in groups:
-            branch = branch.setdefault(group, {})
-        branch[last] = node.get_parameter(name).value
-    return yaml.dump({node.get_fully_qualified_name(): {'ros__parameters': tree}})
-
-
-def test_a_dump_is_loaded_in_any_order(tmp_path):
-    with stage(parameters=DUMPED) as first:
-        (tmp_path / 'dump.yaml').write_text(dump(first.planner))
-        expected = {name: first.planner.get_parameter(name).value for name in PARAMETERS}
-    # What `ros2 param load` sends: this function reads the file, .inf as a text.
+def test_a_dump_is_loaded_but_for_what_is_read_only_or_contradicts_the_rest(tmp_path):
+    given = {'map.alpha_min': 20.0, 'map.alpha_max': 30.0, 'strategy.solver': 'simplex',
+             'strategy.length_weight': 0.5, 'strategy.max_detour': math.inf, 'seed': 7}
+    with stage(parameters=given) as running:
+        planner, tree = running.planner, {}
+        for name in PARAMETERS:  # as `ros2 param dump` writes them
+            *groups, last = name.split('.')
+            branch = tree
+            for group in groups:
+                branch = branch.setdefault(group, {})
+            branch[last] = planner.get_parameter(name).value
+        (tmp_path / 'dump.yaml').write_text(
+            yaml.dump({planner.get_fully_qualified_name(): {'ros__parameters': tree}}))
+        before = planner._settings.current
+    # What `ros2 param load` sends, one after the other: `.inf` is read as a text.
     loaded = parameter_dict_from_yaml_file(str(tmp_path / 'dump.yaml'))
-    assert set(PARAMETERS) <= set(loaded)
-    fixed = {name: value for name, value in DUMPED.items() if PARAMETERS[name].fixed}
-    for names in (sorted(loaded), sorted(loaded, reverse=True)):
-        with stage(parameters=fixed) as second:
-            answers = {name: second.planner.set_parameters(
-                [Parameter.from_parameter_msg(loaded[name])])[0] for name in names}
-            refused = {name for name, each in answers.items() if not each.successful}
-            assert refused == {name for name, each in PARAMETERS.items() if each.fixed}
-            assert second.planner.describe_parameter('seed').read_only
-            assert expected == {name: second.planner.get_parameter(name).value
-                                for name in PARAMETERS}
-            second.client.diagnostics(message='waiting for /alpha_map, /start_pose, /goal_pose')
+    with stage(parameters={'seed': 7}) as running:
+        planner = running.planner
 
+        def refused():
+            answers = {name: planner.set_parameters([Parameter.from_parameter_msg(loaded[name])])
+                       for name in sorted(loaded)}
+            return {name: each[0].reason for name, each in answers.items()
+                    if not each[0].successful and not PARAMETERS[name].fixed}
 
-def test_contradicting_parameters_are_reported_and_requests_refused():
-    with stage() as running:
-        client = running.give()
-        service = client.node.create_client(SetParameters, 'ambush_planner/set_parameters')
-        weight = Parameter('strategy.length_weight', value=0.5).to_parameter_msg()
-        (answer,) = answer_of(service, SetParameters.Request(parameters=[weight])).results
-        assert answer.successful
-        assert 'contradict each other' in answer.reason
-        found = client.diagnostics(code='NONE', level=b'\1')
-        assert 'strategy.length_weight 0.5 needs the strategy.solver' in found['message']
-        answer = client.call('new_route')
-        assert not answer.success and 'contradict each other' in answer.message
-        assert client.diagnostics(code='INVALID_OPTION')
-        answer = change(running.planner, strategy__solver='simplex')
-        assert answer.successful and answer.reason == ''
-        assert client.call('new_route').success
-        assert 'contradict' not in client.diagnostics(departures='1')['message']
+        (reason,) = refused().values()
+        assert reason.startswith('strategy.length_weight 0.5 needs the strategy.solver')
+        assert reason.endswith('; set parameters that depend on each other in one call')
+        assert not refused()
+        assert planner._settings.current == before
 
 
 def test_roads_that_cannot_be_read_stop_the_start_and_a_method_without_them_is_refused(

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings are read back without ROS, and what is damaged, foreign or old is named."""
 
-import json
 import os
 import shutil
 import tracemalloc
@@ -30,7 +29,6 @@ from ambush_planner.recordings.recorded_departures import (
     recordings_in,
     source_findings,
 )
-from ambush_planner.recordings.recorder import listed_in
 from ambush_planner.recordings.recording_errors import UnreadableRecording
 from ambush_planner.recordings.recording_file import read_recording
 
@@ -157,18 +155,6 @@ def chunk_of(compression, data, stated):
                  records.DataEnd(0), records.Footer(0, 0, 0)):
         each.write(builder)
     return MAGIC + builder.end() + MAGIC
-
-
-def test_a_list_of_files_by_others_is_read_in_no_time(tmp_path):
-    aliases = ['a0: &a0 [x, x, x, x, x, x, x, x, x]', *(
-        f'a{k}: &a{k} [{", ".join([f"*a{k - 1}"] * 9)}]' for k in range(1, 12))]
-    for text in ('\n'.join(aliases), '[' * 10**5, 'null', '[1]', '{"a": 1}',
-                 '{"rosbag2_bagfile_information": {"relative_file_paths": 3}}'):
-        (tmp_path / 'metadata.yaml').write_text(text)
-        assert listed_in(tmp_path) == []
-    named = {'relative_file_paths': ['a.mcap', [['b']], 3]}
-    (tmp_path / 'metadata.yaml').write_text(json.dumps({'rosbag2_bagfile_information': named}))
-    assert listed_in(tmp_path) == ['a.mcap']
 
 
 def a_day(**changes):

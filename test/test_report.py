@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report: one whole page, safe against what files may hold, with the right numbers."""
 
-import hashlib
 import json
 import re
-import zlib
-from base64 import b64decode, b64encode
+from base64 import b64decode
 from html.parser import HTMLParser
 from urllib.parse import unquote
 
@@ -14,19 +12,14 @@ import pytest
 from audit_samples import START, departure, drawn, parameters, record, record_drawn, sample_plan
 from commands import documented_keys
 from drive_samples import dense
-from games import examples
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from scipy.spatial import cKDTree
 
 from ambush_planner import words
 from ambush_planner.commands import report, report_words
-from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.plan import path_lengths
 from ambush_planner.recordings.recorded_departures import read_departures, recordings_in
-from ambush_planner.recordings.report_data import OBSTACLE, map_cells, map_data, sections_of
+from ambush_planner.recordings.report_data import sections_of
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
 
@@ -41,7 +34,6 @@ class Page(HTMLParser):
         self.close()
         assert not self.open
         self.text = re.sub(r'\s+', ' ', self.text)
-        self.scripts = re.findall(r'(?s)<script>(.*?)</script>', self.html)
 
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
@@ -53,7 +45,7 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if not {'style', 'script'} & set(self.open):
+        if 'style' not in self.open:
             self.text += f' {data}'
 
     def values(self, attribute):
@@ -78,19 +70,16 @@ def made(tmp_path_factory):
     return page, section
 
 
-def test_the_page_needs_nothing_else_and_its_policy_names_the_only_script(made):
+def test_the_page_needs_nothing_else_and_its_policy_lets_no_script_run(made):
     page, _ = made
     assert page.html.startswith('<!DOCTYPE html>') and 'Secret.' in page.text
-    assert not {'link', 'iframe', 'object', 'form', 'base'} & set(page.tags)
+    assert not {'link', 'iframe', 'object', 'form', 'base', 'script'} & set(page.tags)
     assert not [name for name, _ in page.attributes if name.startswith('on')]
-    (picture,) = page.values('src')  # for printers and browsers that run no scripts
+    (picture,) = page.values('src')
     kind, _, data = picture.partition(',')
-    assert kind == 'data:image/jpeg;base64' and b64decode(data)[:3] == b'\xff\xd8\xff'
+    assert kind == 'data:image/png;base64' and b64decode(data)[1:4] == b'PNG'
     assert not re.search(r'url\(|@import|https?://', page.html) and len(page.html) < 1_000_000
-    (script,) = page.scripts
-    digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert (f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src "
-            f"'sha256-{digest}'") in page.values('content')
+    assert "default-src 'none'; img-src data:; style-src 'unsafe-inline'" in page.values('content')
 
 
 def test_the_numbers_are_those_of_the_strategy(made):
@@ -135,21 +124,6 @@ def test_departures_link_their_recordings_and_hold_neither_routes_nor_seeds(made
         assert ', '.join(map(str, each.route[0][:4].tolist())) not in page.text
 
 
-def test_the_driven_paths_are_drawn_not_the_nodes(made):
-    _, section = made
-    data = map_data(section)
-    points = np.frombuffer(zlib.decompress(b64decode(data['routes'])), '<f4').reshape(-1, 2)
-    rows, counts, _ = np.transpose(data['pieces'])
-    pieces = np.split(points + data['origin'], np.cumsum(counts)[:-1])
-    paths = [np.concatenate([piece for of, piece in zip(rows, pieces, strict=True) if of == row])
-             for row in range(len(section.departures))]
-    lengths = [float(row[2].split()[0]) for row in report_words.departures(section)[1:]]
-    for path, length, each in zip(paths, lengths, section.departures, strict=True):
-        wanted = each.path_poses[:, :2]
-        assert off(wanted, path) <= 0.11 * data['cell']
-        assert length == pytest.approx(np.hypot(*np.diff(wanted, axis=0).T).sum(), abs=0.5)
-
-
 def off(points, line):
     """How far points lie from a line at most."""
     return cKDTree(dense(line, 0.01)).query(points)[0].max()
@@ -168,7 +142,7 @@ def test_a_fixed_seed_is_warned_about(tmp_path, made):
 def test_text_from_files_is_escaped(tmp_path):
     record_drawn(tmp_path / 'in', 1, entries={'departure_id': HOSTILE})
     page = page_of(tmp_path)
-    assert len(page.scripts) == 1 and page.tags.count('img') == 1
+    assert page.tags.count('script') == 0 and page.tags.count('img') == 1
     assert '<script>alert' not in page.html
     assert f'departure {HOSTILE}' in page.values('title')
 
@@ -185,7 +159,7 @@ def test_maps_and_trips_have_sections(tmp_path):
     record(tmp_path / 'in', rows)
     page = page_of(tmp_path)
     assert 'Trip 1 of 2: 3 departures' in page.text and 'Trip 2 of 2: 3 departures' in page.text
-    assert page.tags.count('canvas') == 2 and page.text.count('3 strategies were computed') == 1
+    assert page.tags.count('img') == 2 and page.text.count('3 strategies were computed') == 1
     assert page.text.count('time (UTC) length mean loss') == 1
 
 
@@ -212,15 +186,3 @@ def test_unreadable_files_are_named_and_counted(tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert set(result) == documented_keys(report) and result['page'] is None
     assert not (tmp_path / 'none').exists()
-
-
-@examples(25)
-@given(st.data())
-def test_losses_and_obstacles_come_through(data):
-    shape = data.draw(st.tuples(st.integers(1, 9), st.integers(1, 9)))
-    alpha = data.draw(arrays(float, shape, elements=st.floats(0.0, 10.0)))
-    obstacles = data.draw(arrays(bool, shape))
-    cells, levels, cell = map_cells(RiskMap(alpha, obstacles, 2.5))
-    assert cell == 2.5 and (levels == [0.0] or not obstacles.all())
-    np.testing.assert_array_equal(cells == OBSTACLE, obstacles)
-    np.testing.assert_array_equal(np.array(levels)[cells[~obstacles]], alpha[~obstacles])

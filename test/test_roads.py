@@ -203,7 +203,7 @@ def test_plan_judge_hold_and_frontier_play_on_the_same_roads(streets, tmp_path, 
     (swept, _) = numbers(frontier, '--detours', detour, '--slacks', 0.01, '--detour', detour, '-o',
                          tmp_path / 'f.csv')['rows']
     found = [numbers(plan, '--detour', detour, '-o', tmp_path / 'routes.csv'), judged['optimal'],
-             numbers(hold, '--detour', detour, '--radius', 60, '-k', 1, '-o', tmp_path / 'h.csv',
+             numbers(hold, '--detour', detour, '--radius', 60, '-k', 1, '-o', tmp_path / 'h.png',
                      '--candidates', tmp_path / 'corner.csv'),
              swept]
     for each in found:

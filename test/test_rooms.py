@@ -22,7 +22,7 @@ MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib', 'geopandas'
                   'pyogrio', 'shapely', 'mgrs'}
 # A faster solver, if it is there.
 NEEDED_ALSO = {'route_layers.py': {'geopandas', 'shapely', 'rasterio'},
-               'face_flows.py': {'highspy'}}
+               'growing_program.py': {'highspy'}}
 
 SOLVES = NO_ROS + """
 sys.modules.update(dict.fromkeys(('mcap', 'mcap_ros2', 'matplotlib', 'yaml')))  # not needed

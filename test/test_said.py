@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages in Python and of commands; suffixes in upper case; files across 180 degrees."""
 
-import json
 import re
 import shlex
 import warnings
@@ -16,6 +15,7 @@ from games import plain_options
 from ambush_planner import (
     AmbushPlannerWarning,
     GameOptions,
+    InvalidCoordinates,
     Network,
     PlanningOptions,
     RiskMap,
@@ -143,10 +143,10 @@ def test_the_command_writes_the_place_as_asked_and_the_call_of_hold(tmp_path):
                     'network.spacing=10', 'network.refine=0', '-o', tmp_path / 'r.csv')
     assert done.code == 0 and re.search(r'every route, at 36\.\d{5},-84\.\d{5}, ', done.err)
     line = re.search('To find what to hold: (.*)', done.err)[1]
-    words = shlex.split(line.replace('-o hold.csv hold.png', f'-o {tmp_path}/h.csv'))
+    words = shlex.split(line.replace('-o hold.png', f'-o {tmp_path}/h.png'))
     assert words[:3] == ['ambush', 'hold', str(file)] and '--reach 10' in line
     held = run_here(hold, *words[2:], '-k', 1)
-    assert held.code == 0 and (tmp_path / 'h.csv').exists(), held.err
+    assert held.code == 0 and (tmp_path / 'h.png').exists(), held.err
 
 
 def test_an_ambush_that_misses_one_route_of_300_is_not_certain():
@@ -158,7 +158,7 @@ def test_an_ambush_that_misses_one_route_of_300_is_not_certain():
     assert found.visit_probability[1] == pytest.approx(300 / 301)
 
 
-def test_geojson_is_cut_at_180_degrees(tmp_path):
+def test_geojson_across_180_degrees_is_refused(tmp_path):
     geopandas = pytest.importorskip('geopandas', reason='GeoJSON takes the extra "gis"')
     import shapely
 
@@ -172,18 +172,11 @@ def test_geojson_is_cut_at_180_degrees(tmp_path):
     made = plan_trip(risk_map, start, goal, PlanningOptions(
         network=plain_options(spacing=20.0), game=GameOptions(ambush_radius=20.0)))
     drawn = Drawn(made.trip, risk_map, made.paths(3, 0), [datetime.now(timezone.utc)] * 3)
-    write_routes([tmp_path / 'A.GeoJSON'], drawn)
-    document = json.loads((tmp_path / 'A.GeoJSON').read_text())
-    kinds = {each['geometry']['type'] for each in document['features']
-             if each['properties']['layer'] == 'routes'}
-    assert kinds == {'MultiLineString'}
-    whole = geopandas.read_file(tmp_path / 'A.GeoJSON')
-    for shape in whole.geometry:
-        for part in shapely.get_parts(shape):
-            west, _, east, _ = part.bounds
-            assert east - west < 0.01 and -180.0 <= west and east <= 180.0
-    metres = whole[whole.layer == 'routes'].to_crs(crs).length.sum()
-    assert metres == pytest.approx(drawn.routes.length.sum(), rel=1e-3)
+    with pytest.raises(InvalidCoordinates, match='crosses 180 degrees; write .gpkg'):
+        write_routes([tmp_path / 'A.GeoJSON'], drawn)
+    write_routes([tmp_path / 'A.GPKG'], drawn)
+    whole = geopandas.read_file(tmp_path / 'A.GPKG', layer='routes')
+    assert whole.length.sum() == pytest.approx(drawn.routes.length.sum())
 
 
 @pytest.mark.parametrize(('alpha', 'edges', 'words'), [

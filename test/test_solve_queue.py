@@ -126,14 +126,40 @@ def test_a_request_overtakes_a_running_background_solve(queue):
         shared.result(TIMEOUT)
 
 
-def test_a_worker_of_low_priority_solves_nothing_else():
+def test_a_first_plan_is_the_outcome_and_a_request_overtakes_its_refinement(queue):
+    quick, plans = request(), []
+
+    def ask(last):
+        return queue.submit('trip', replace(last, first=quick.options), plans.append)
+
+    ask(quick).result(TIMEOUT)
+    wait_until(lambda: len(plans) == 2, 'both plans')
+    assert plans[0].value == plans[1].value
+    wait_until(lambda: queue.activity == (False, False), 'the end')
+    queue._report = reported = Mock()
+    ask(replace(quick, options=replace(quick.options, network=NetworkOptions(spacing=1e-3)))
+        ).result(TIMEOUT)
+    wait_until(lambda: reported.called, 'why there is no refined plan')
+    outcome = ask(slow_request())
+    assert outcome.result(TIMEOUT) is None and len(plans) == 4
+    wait_until(lambda: queue.activity == (False, True), 'the refinement')
+    assert not queue.keys, 'nobody is to wait for it'
+    assert queue.submit('trip', quick, plans.append, background=True) is outcome
+    queue.withdraw(outcome)
+    assert queue.activity == (False, True)
+    assert submit(queue, 'trip', quick).result(TIMEOUT) is not outcome.result()
+
+
+def test_a_worker_that_refines_has_low_priority_and_solves_nothing_else():
+    quick, own = request(), os.getpriority(os.PRIO_PROCESS, 0)
     worker = HandedOn.take(None)
-    assert worker.solve(request(), True).strategy.value > 0.0 and not worker.alive
+    assert worker.solve(replace(quick, first=quick.options)).value == worker.next_plan(quick).value
+    assert not worker.alive
     worker.close()
-    worker, own = HandedOn.take(None), os.getpriority(os.PRIO_PROCESS, 0)
+    worker, asked = HandedOn.take(None), replace(slow_request(), first=quick.options)
+    worker.solve(asked)
     with ThreadPoolExecutor(1) as thread:
-        solve = thread.submit(worker.solve, slow_request(), True)
-        wait_until(lambda: worker._pidfd, 'its start')
+        solve = thread.submit(worker.next_plan, asked)
         wait_until(lambda: os.getpriority(os.PRIO_PROCESS, process_id(worker)) > own, 'nice')
         worker.kill()
     worker.close()

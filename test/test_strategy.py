@@ -41,7 +41,7 @@ from ambush_planner import (
 )
 from ambush_planner.game.revaluation import revalue
 from ambush_planner.game.value import highs
-from ambush_planner.game.value.face_flows import FaceFlows
+from ambush_planner.game.value.growing_program import GrowingProgram
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
@@ -200,6 +200,16 @@ def test_a_budget_of_zero_is_feasible():
     assert strategy.expected_length <= strategy.length_budget < 1e-8
 
 
+@pytest.mark.parametrize('detour', [1.0, 1.0001])
+def test_a_budget_next_to_the_shortest_way_is_kept_at_the_least_value(detour):
+    """Along a corridor, a share of the budget that is rounding elsewhere is all of its margin."""
+    alpha = np.random.default_rng(1).uniform(1.0, 10.0, (6, 72))
+    risk_map = RiskMap(alpha, np.zeros(alpha.shape, bool), resolution=1.0)
+    network = build_network(risk_map, (1.5, 3.5), (70.5, 3.5), NetworkOptions(spacing=1.0))
+    strategy = solve(network, options=StrategyOptions(max_detour=detour))
+    assert strategy.value <= 1.0101 * strategy.lower_bound
+
+
 def test_all_shortest_routes_are_drawn_alike_if_the_budget_allows_no_others():
     x, y = np.meshgrid(np.arange(4.0), np.arange(4.0))
     points = np.column_stack((x.ravel(), y.ravel()))
@@ -216,7 +226,7 @@ def test_a_solver_that_fails_is_named(monkeypatch, recwarn):
     def fails(*_, **__):
         raise SolverFailed('numerical trouble')
 
-    monkeypatch.setattr(FaceFlows, 'solve', fails)
+    monkeypatch.setattr(GrowingProgram, 'solve', fails)
     monkeypatch.setattr(highs, 'run', fails)
     strategy = solve(terrain_network(4, cells=14), GameOptions(ambush_radius=2.0))
     assert strategy.reason == 'solver' and 0.0 <= strategy.lower_bound < strategy.value

@@ -18,36 +18,12 @@ from ambush_planner.maps.map_file import read_map, write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
 
-def save(path, **arrays):
-    np.savez(path, **arrays)
-    return path
-
-
-def test_npz_has_north_first(tmp_path):
-    heights = np.arange(12.0).reshape(3, 4)
-    raster = read_raster(save(tmp_path / 'a.npz', elevation=heights, resolution=5.0))
-    np.testing.assert_array_equal(raster.values, heights[::-1])
-    assert (raster.row_step, raster.column_step) == (5.0, 5.0)
-
-
-@pytest.mark.parametrize(('arrays', 'reason'), [
-    ({'height': np.zeros((3, 3)), 'resolution': 1.0}, 'elevation'),
-    ({'elevation': np.zeros((3, 3))}, 'resolution'),
-    ({'elevation': np.zeros(3), 'resolution': 1.0}, 'shape'),
-    ({'elevation': np.zeros((3, 3)), 'resolution': -1.0}, 'positive'),
-    ({'elevation': np.array([['a', 'b']]), 'resolution': 1.0}, 'npz'),
-    ({'elevation': np.array([[None, 1]], dtype=object), 'resolution': 1.0}, 'npz'),
-])
-def test_rejects_unusable_npz_files(tmp_path, arrays, reason):
-    with pytest.raises(InvalidTerrain, match=reason):
-        read_raster(save(tmp_path / 'a.npz', **arrays))
-
-
 def test_rejects_files_that_are_broken_or_no_rasters(tmp_path):
-    whole = save(tmp_path / 'a.npz', elevation=np.zeros((30, 30)), resolution=1.0).read_bytes()
-    (tmp_path / 'b.npz').write_bytes(whole[: len(whole) // 2])
+    np.savez(tmp_path / 'a.npz', elevation=np.zeros((30, 30)))
+    whole = write_geotiff(tmp_path / 'whole.tif', np.zeros((300, 300))).read_bytes()
+    (tmp_path / 'half.tif').write_bytes(whole[: len(whole) // 2])
     (tmp_path / 'b.tif').write_text('hello')
-    for name in ('b.npz', 'b.tif'):
+    for name in ('a.npz', 'half.tif', 'b.tif'):
         with pytest.raises(InvalidTerrain, match=name):
             read_raster(tmp_path / name)
 
@@ -62,7 +38,7 @@ def test_a_geotiff_without_true_metres_is_reprojected_to_its_utm_zone(tmp_path, 
     """Heights that are a plane in the source come out as pyproj says, cell by cell."""
     rows, columns = np.mgrid[:40, :40] + 0.5
     path = write_geotiff(tmp_path / 'a.tif', 3.0 * rows - columns, crs,
-                         (step, 0, west, 0, -step, north))
+                         (step, 0, west, 0, -step, north), unit='m')
     with pytest.warns(AmbushPlannerWarning, match=f'reprojected .*{utm}'):
         raster = read_raster(path)
     assert raster.crs == utm
@@ -129,7 +105,7 @@ def test_the_command_leaves_map_picture_and_preview(tmp_path):
     row, column = np.mgrid[:80, :120]
     heights = 40.0 * np.sin(row / 9.0) * np.cos(column / 7.0)
     heights[:10, :10] = np.nan
-    dem = save(tmp_path / 'dem.npz', elevation=heights, resolution=10.0)
+    dem = write_geotiff(tmp_path / 'dem.tif', heights, None, (10.0, 0.0, 0.0, 0.0, -10.0, 800.0))
     done = run_here(risk, dem, '-o', tmp_path / 'm.yaml', '--weapon-range', 100)
     assert done.code == 0, done.err
     result = read_map(tmp_path / 'm.yaml')

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import run_here
+from rasters import write_geotiff
 from test_path_mixtures import GOAL, START, ground
 from test_week import OPTIONS, copy_of, plans, roads  # noqa: F401 (a fixture)
 
@@ -37,7 +38,7 @@ def drawn_from(plans, name, folder, days=6, plan_name='week'):  # noqa: F811
     return file, sorted((folder / f'{plan_name}.departures').iterdir())
 
 
-@pytest.mark.parametrize('name', ['few', 'stops', 'roads'])
+@pytest.mark.parametrize('name', ['routes', 'stops', 'roads'])
 def test_on_its_own_ground_a_plan_is_clear_and_costs_the_same(plans, name):  # noqa: F811
     plan, file = plans[name]
     before = NewGround(plan.own_map, read_plan(file).parameters.planning.network.roads)
@@ -136,8 +137,8 @@ def test_verify_says_which_departures_are_not_clear_on_new_roads(plans, closed, 
 def planned(folder, *more):
     """A plan of the command on a map of ``ambush risk`` in a folder."""
     heights = np.random.default_rng(1).normal(0.0, 1.0, (40, 60)).cumsum(axis=0)
-    np.savez(folder / 'dem.npz', elevation=heights, resolution=10.0)
-    assert run_here(risk, folder / 'dem.npz', '-o', folder / 'maps/m.yaml').code == 0
+    write_geotiff(folder / 'dem.tif', heights, None, (10.0, 0.0, 0.0, 0.0, -10.0, 400.0))
+    assert run_here(risk, folder / 'dem.tif', '-o', folder / 'maps/m.yaml').code == 0
     return run_here(plan_command, folder / 'maps/m.yaml', '--start', 50, 200, '--goal', 550, 200,
                     '--reach', 40, '--set', 'network.refine=0', 'network.spacing=30', '-o',
                     folder / 'week/w.plan', *more)
@@ -157,7 +158,7 @@ def test_draw_says_what_changed_or_is_gone_and_draws_nothing(week):
     file = week / 'week/w.plan'
     assert run_here(draw, file, '--dry-run').code == 0
     sources = {each.name: each.role for each in read_plan(file).sources}
-    assert sources == {'../maps/m.yaml': 'map', '../maps/m.pgm': 'map', '../dem.npz': 'layer'}
+    assert sources == {'../maps/m.yaml': 'map', '../maps/m.pgm': 'map', '../dem.tif': 'layer'}
     # Neither the plan nor its departures tell where they were made.
     assert run_here(draw, file).code == 0
     for path in (file, *(week / 'week/w.departures').iterdir()):
@@ -165,7 +166,7 @@ def test_draw_says_what_changed_or_is_gone_and_draws_nothing(week):
     for name, change, words in (
             ('maps/m.pgm', lambda path: path.write_bytes(path.read_bytes()[:-1] + b'\0'),
              'm.pgm has changed, the map'),
-            ('dem.npz', lambda path: path.write_bytes(b'new heights'), 'dem.npz has changed, the '
+            ('dem.tif', lambda path: path.write_bytes(b'new heights'), 'dem.tif has changed, the '
              'layer'),
             ('maps/m.yaml', Path.unlink, 'm.yaml is gone, the map')):
         whole = (week / name).read_bytes()
@@ -179,7 +180,9 @@ def test_draw_says_what_changed_or_is_gone_and_draws_nothing(week):
         (week / name).write_bytes(whole)
     (week / 'maps').rename(week / 'elsewhere')
     assert run_here(draw, file, '--dry-run').code == 1
-    assert run_here(draw, file, '--dry-run', '--map', week / 'elsewhere/m.yaml').code == 0
+    assert run_here(draw, file, '--dry-run', '--ground-unchanged').code == 0
+    done = run_here(draw, file, '--dry-run', '--map', week / 'elsewhere/m.yaml')
+    assert done.code == 2 and 'were only moved, add --ground-unchanged' in done.err
 
 
 def read_departure_entries(path):
@@ -203,7 +206,7 @@ def test_two_departures_of_one_plan_for_one_day_are_named(plans, tmp_path):  # n
     day, both = ('--date', '2040-01-01', '--slot', '8:00'), tmp_path / 'both'
     for name in ('anna', 'ben'):
         (tmp_path / name).mkdir()
-        file = copy_of(plans, 'few', tmp_path / name)
+        file = copy_of(plans, 'routes', tmp_path / name)
         assert run_here(draw, file, *day).code == 0
         assert name == 'ben' or run_here(draw, file, '--days', 4, '--date', '2040-01-02').code == 0
         shutil.copytree(tmp_path / name / 'week.departures', both / f'{name}.departures')
@@ -245,7 +248,7 @@ def test_a_shared_folder_is_shared_and_a_closed_file_is_no_forgery(plans, tmp_pa
     shared.chmod(0o2770)
     mask = os.umask(0o077)
     try:
-        file, found = drawn_from(plans, 'few', shared, 2)
+        file, found = drawn_from(plans, 'routes', shared, 2)
         done = run_here(draw, file, '--date', '2041-01-01', '-o', shared / 'card.html')
     finally:
         os.umask(mask)

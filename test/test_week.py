@@ -15,7 +15,7 @@ from commands import NO_ROS, documented_keys, run_here, run_python
 from games import plain_options
 from test_path_mixtures import GOAL, START, ground
 
-from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
+from ambush_planner import GameOptions, InvalidOption, NetworkOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import audit, card, draw, export, report, verify
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.operations.slots import Slots
@@ -55,9 +55,6 @@ PLANS = {
     'floats': lambda: plan_trip(floats(), START, GOAL, OPTIONS),
     'refined': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=NetworkOptions(
         spacing=3.0, refine=None))),
-    'few': lambda: plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1),
-    'few a leg': lambda: plan_trip(ground(), START, GOAL, OPTIONS, stops=[(28.0, 16.0)], routes=3,
-                                   rng=1),
     'stops': lambda: plan_trip(ground(), START, GOAL, OPTIONS,
                                stops=[(12.0, 4.0), (28.0, 16.0)]),
     'roads': lambda: plan_trip(ground(), START, GOAL, replace(OPTIONS, network=plain_options(
@@ -114,7 +111,7 @@ def test_a_plan_comes_back_and_all_that_is_drawn_from_it_holds(plans, name, tmp_
         departure = read_departure(path)
         assert departure.drawn_from.value == pytest.approx(plan.value)
         assert departure.path_poses[0, :2] == pytest.approx(START, abs=1e-9)
-    if name in ('routes', 'refined', 'few', 'held'):
+    if name in ('routes', 'refined', 'held'):
         return  # what the commands read of these, the others have, too
     for command, more in ((audit, ()), (report, ('-o', tmp_path / 'out', '--verify')),
                           (export, ('-o', tmp_path / 'all.csv'))):
@@ -164,9 +161,9 @@ def test_recordings_of_the_format_before_are_read_if_they_have_one_leg(plans, na
         assert read_departure(path).value == pytest.approx(plans[name][0].value)
 
 
-def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
+def test_every_number_of_a_plan_of_few_routes_is_of_these():
     """And so are its concerns: here one route is the best mixture, and one place hits it."""
-    plan, _ = plans['few']
+    plan = plan_trip(ground(), START, GOAL, OPTIONS, routes=3, rng=1)
     numbers, row = plan_numbers(plan), evaluate(plan)['stochastic']
     assert plan._summary()['value'] == f'{plan.few.value:.4g}'
     assert float(numbers['value']) == pytest.approx(plan.few.value)
@@ -177,21 +174,22 @@ def test_every_number_of_a_plan_of_few_routes_is_of_these(plans):
     one = replace(plan, few=plan_trip(ground(), START, GOAL, OPTIONS, routes=1, rng=1).few)
     # The place that is found is on the way, or near an end.
     assert 'every ' in ' '.join(concerns(one)) and 'every ' not in ' '.join(concerns(plan))
+    with pytest.raises(InvalidOption, match='few routes is not saved'):
+        saved_plan(plan)
 
 
 def test_the_week_needs_no_ros(plans, tmp_path):
-    file = copy_of(plans, 'few', tmp_path)
+    file = copy_of(plans, 'routes', tmp_path)
     lines = [f'draw {file} -o {tmp_path}/card.html --speed 20',
              f'verify {tmp_path}/week.departures',
-             f'card {file} --route 1 -o {tmp_path}/one.html',
              f'draw {file} --days 2 --date 2031-05-01 -o {tmp_path}/sheet.html']
     done = run_python(NO_ROS + 'from ambush_planner.commands import cli\n' + ''.join(
         f'assert cli.main({line.split()!r}) == 0\n' for line in lines))
     assert done.returncode == 0, done.stderr
     assert {path.name for path in tmp_path.glob('*.html')} == {
-        'card.html', 'one.html', 'sheet_2031-05-01.html', 'sheet_2031-05-02.html'}
+        'card.html', 'sheet_2031-05-01.html', 'sheet_2031-05-02.html'}
     # Of several days, the console tells nothing but the files.
-    assert re.search(r'(?m)^\d{4}-\d\d-\d\d, (08:00|09:30|11:00): route \d, [\d.]+ m$', done.stdout)
+    assert re.search(r'(?m)^\d{4}-\d\d-\d\d, (08:00|09:30|11:00): [\d.]+ m$', done.stdout)
     assert '2031-05-01:' not in done.stdout and '2031-05-01,' not in done.stdout
 
 
@@ -240,25 +238,22 @@ def test_verify_says_which_plan_each_departure_is_of(plans, tmp_path):
     value = plans['routes'][0].value
     assert lines.count(f'value {value / 2:.4g} ({value:.4g} if he knows the time)') == 2
     assert 'plans' not in lines
-    assert run_here(draw, copy_of(plans, 'few', tmp_path), '--date', '2040-01-01').code == 0
+    assert run_here(draw, copy_of(plans, 'held', tmp_path), '--date', '2040-01-01').code == 0
     others = run_here(verify, folder, '--json')
     result = json.loads(others.out)
     assert set(result) == documented_keys(verify)
-    few = plans['few'][0].value
+    held = plans['held'][0].value
     assert [(each['departures'], each['value']) for each in result['plans']] == [
-        (2, pytest.approx(value / 2)), (1, pytest.approx(few / 2))]
+        (2, pytest.approx(value / 2)), (1, pytest.approx(held / 2))]
     said = ' '.join(run_here(verify, folder).out.split())
-    assert '3 departures of 2 plans: 2 of ' in said and f'UTC (value {few / 2:.3g})' in said
+    assert '3 departures of 2 plans: 2 of ' in said and f'UTC (value {held / 2:.3g})' in said
 
 
-def test_slots_and_routes_follow_the_strategy(plans):
-    saved = read_plan(plans['few'][1])
+def test_slots_follow_their_shares(plans):
+    saved = read_plan(plans['routes'][1])
     drawn = [draw_departure(saved) for _ in range(3000)]
     for slot, share in zip(SLOTS.times, SLOTS.shares, strict=True):
         assert abs(np.mean([each.slot == slot for each in drawn]) - share) < 0.05
-    numbers = [saved.plan.few.numbers(each.route) for each in drawn]
-    for k, share in enumerate(saved.plan.few.shares):
-        assert abs(np.mean([own[0] == k for own in numbers]) - share) < 0.05
 
 
 def test_a_full_disk_leaves_nothing_and_nothing_has_been_drawn(plans, tmp_path):
@@ -292,8 +287,8 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
     assert 'it is a plan: ambush draw makes a departure of it' in ' '.join(done.out.split())
     done = run_here(card, file, '-o', tmp_path / 'c.html')
     assert done.code == 2 and 'is a plan, not a departure: draw one with' in done.err
-    done = run_here(card, file, '-o', tmp_path / 'c.html', '--route', 1)
-    assert done.code == 2 and 'is not a plan of few routes' in done.err
+    done = run_here(card, recording, '-o', tmp_path / 'c.html', '--route', 1)
+    assert done.code == 2 and '--route was removed: leave it out' in done.err
     flipped = bytes([whole[5000] ^ 1])
     for content in (whole[:5000] + flipped + whole[5001:], b'not a plan'):
         file.write_bytes(content)
@@ -306,7 +301,7 @@ def test_files_that_are_no_plans_are_named(plans, tmp_path, monkeypatch):
 
 
 def test_a_clock_that_went_back_and_a_day_before_others_are_named(plans, tmp_path, monkeypatch):
-    file = copy_of(plans, 'few', tmp_path)
+    file = copy_of(plans, 'routes', tmp_path)
     done = run_here(draw, file, '--date', '2020-01-01')
     assert done.code == 0 and '2020-01-01 has passed: today is 20' in done.err
     assert run_here(draw, file).code == 0

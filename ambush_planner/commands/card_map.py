@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray
 from ..colours import ENDS, OBSTACLE, PROBABILITY, RISK
-from ..graticule import graticule, north, scale_bar
 from ..labels import Labels
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
 from ..maps.road_tags import ROUNDABOUT
 from ..routes.legs import distances_along
+from ..rulers import north, scale_bar, ticks
 
 if TYPE_CHECKING:
     from .card_page import Card
@@ -51,7 +51,7 @@ text {{ font-family: sans-serif; font-size: {_SMALL * _POINT:.2f}px; text-anchor
 .over {{ stroke: white; stroke-width: .8px; stroke-linejoin: round; paint-order: stroke; }}
 path, polyline, circle {{ fill: none; stroke: black; stroke-linejoin: round;
   stroke-linecap: round; }}
-.halo {{ stroke: white; }} .grid {{ stroke: #0007; stroke-width: .15px; }}
+.halo {{ stroke: white; }}
 .road {{ stroke: #555; stroke-width: .5px; }} .road.halo {{ stroke: white; stroke-width: 1.1px; }}
 .route {{ stroke: {PROBABILITY[2]}; stroke-width: 1px; }}
 .route.halo {{ stroke: white; stroke-width: 1.8px; }}
@@ -86,9 +86,6 @@ def card_map(card: Card, height: float) -> CardMap:
     extent = np.minimum(size * metres, last - first)
     corner = np.clip((low + high - extent) / 2.0, first, last - extent)
     sheet = _Sheet(np.array((corner, corner + extent)), metres)
-    grid = graticule(card.risk_map, sheet.box, 4)
-    for line in grid.lines:
-        sheet.line(line, 'grid')
     if card.roads is not None:
         pieces = card.roads.points[card.roads.pairs]
         near = (pieces.min(axis=1) < sheet.box[1]) & (pieces.max(axis=1) > sheet.box[0])
@@ -106,7 +103,7 @@ def card_map(card: Card, height: float) -> CardMap:
     tall = 4.2 * metres
     _label(sheet, card, np.array((left, bottom - tall * (not bar.is_low), left + length,
                                   bottom + tall * bar.is_low)))
-    return CardMap(_framed(sheet, card.risk_map, grid.ticks, grid.unit),
+    return CardMap(_framed(sheet, card.risk_map),
                    float(sheet.size[0] + MARGINS[0] + MARGINS[2]),
                    f'1:{scale:,.0f}'.replace(',', ' '))
 
@@ -157,15 +154,15 @@ class _Sheet:
         return np.array((_LETTER * len(text) + 0.5, 1.4)) * font * _POINT * self.metres
 
 
-def _framed(sheet: _Sheet, risk_map: RiskMap, ticks: tuple[tuple[FloatArray, list[str]], ...],
-            unit: str) -> str:
+def _framed(sheet: _Sheet, risk_map: RiskMap) -> str:
     """The picture: the ground below all parts, and around it ticks and north."""
     (width, height), (left, top, right, bottom) = sheet.size.tolist(), MARGINS
     around = [f'<path d="M0 0H{width:.2f}V{height:.2f}H0Z" stroke-width=".25"/>']
-    for (at, texts), is_x in zip(ticks, (True, False), strict=True):
+    along, unit = ticks(risk_map, sheet.box, 4)
+    for (at, texts), is_x in zip(along, (True, False), strict=True):
         for place, text in zip(at.tolist(), texts, strict=True):
             x, y = sheet.at((place, place)).tolist()
-            text += f' {unit}' * bool(unit)
+            text += f' {unit}'
             where = f'x="{x:.2f}" y="{height + 4.2:.2f}"' if is_x else (
                 f'x="-1.2" y="{y + 0.8:.2f}" style="text-anchor: end"')
             around.append(f'<text {where}>{text}</text>')

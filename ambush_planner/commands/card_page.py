@@ -18,8 +18,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..game.route_sampler import route_edges
 from ..game.strategy import TripStrategy
-from ..maps.coordinates import Coordinates
-from ..maps.grid_references import mgrs_references, true_bearings, utm_references
+from ..maps.coordinates import Coordinates, mgrs_references, true_bearings
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
 from ..planning.plan import Route
@@ -32,7 +31,7 @@ from .cli import Console, resource
 _KILOMETRES = 2000.0
 _TO_DO = 'what to do'
 # Columns of positions, of which two tables next to each other have the first one only.
-_PLACES = ('MGRS', 'UTM zone, east, north', 'latitude, longitude', 'x y [m]')
+_PLACES = ('MGRS', 'latitude, longitude', 'x y [m]')
 # Rows of one table at most; characters in a line of its texts, and in those of one of two tables.
 _MOST_ROWS, _WIDE, _NARROW = 20, 28, 26
 # Height [mm] of a page of A4 or Letter that is left for the map and the rows of way points, of a
@@ -211,8 +210,6 @@ def _columns(card: Card, console: Console) -> dict[str, list[str]]:
             columns['MGRS'] = mgrs_references(lat_lon)
         except ModuleNotFoundError:
             console.say("Without MGRS: in a checkout of ambush_planner, run pip install '.[gis]'")
-        if not (on_roads and 'MGRS' in columns):  # which has the same numbers
-            columns['UTM zone, east, north'] = utm_references(lat_lon)
         columns['latitude, longitude'] = [f'{lat:.5f}, {lon:.5f}' for lat, lon in lat_lon]
     else:
         turns = bearings(points)
@@ -240,8 +237,6 @@ def _notes(card: Card) -> list[str]:
     north, systems = (
         ('true north; a compass differs by the local declination', ' Positions are WGS 84.')
         if card.risk_map.crs else ("the map's y axis", ''))
-    if card.risk_map.crs and not on_roads:
-        systems += ' N or S after the UTM zone is the hemisphere.'
     passed = ' Then pass 2: go straight on at the next two junctions.' * any(
         each.passed for each in card.way_points)
     follow = (f'Distances follow the road.{passed}' if on_roads else

@@ -43,9 +43,7 @@ plan's gap is wide, it warns and the exit code is 1.
 If a file cannot be written, nothing is, and nothing has been drawn.
 """
 DETAILS = """\
---json: {"verdict", "files", "departures": [{"number", "date", "slot", "route", "length",
-"recording"}]}
-Of a plan with few routes, route is the number of the one drawn, a list on trips with stops.
+--json: {"verdict", "files", "departures": [{"number", "date", "slot", "length", "recording"}]}
 """
 
 
@@ -71,8 +69,6 @@ def parser() -> argparse.ArgumentParser:
                       help='why that departure was not driven, with --earlier unused')
     made.add_argument('--late-entry', action='store_true',
                       help='enter a departure for a day before that of others')
-    made.add_argument('--map', type=Path, metavar='FILE', help="the plan's map, if it was moved")
-    made.add_argument('--roads', type=Path, metavar='FILE', help='its roads, if they were moved')
     made.add_argument('--ground-unchanged', action='store_true', help='draw even if map, roads or '
                       'layers have changed or are gone: the ground is as it was')
     made.add_argument('--dry-run', action='store_true',
@@ -135,8 +131,7 @@ def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
     """Return whether the plan's sources are unchanged, or the user says that the ground is."""
     from ..recordings import sources
 
-    files = {sources.MAP: arguments.map, sources.ROADS: arguments.roads}
-    changed = sources.changes(saved.sources, arguments.plan.parent, files)
+    changed = sources.changes(saved.sources, arguments.plan.parent)
     if not changed or arguments.ground_unchanged:
         for text in changed:
             console.warn(f'{text}; you say that the ground has not changed')
@@ -145,7 +140,7 @@ def _ground_is_the_same(arguments: argparse.Namespace, saved: SavedPlan,
         console.error(text)
     console.say('Nothing was drawn. If the ground has changed, plan again to a new name, and see '
                 'which departures are affected with ambush verify FOLDER --map MAP [--roads FILE]. '
-                'Else name a file that was moved with --map or --roads, or add --ground-unchanged.')
+                'If it is as it was, add --ground-unchanged.')
     return False
 
 
@@ -200,10 +195,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
     rows = []
     for k, day in enumerate(dates, start=1):
         drawn = plan_departures.draw_departure(saved, arguments.slot or '')
-        few = saved.plan.few
-        numbers = (few.numbers(drawn.route) + 1).tolist() if few else []
         row = {'number': number + k, 'date': day, 'slot': drawn.slot or None,
-               'route': numbers[0] if len(numbers) == 1 else numbers or None,
                'length': drawn.length, 'recording': None}
         for path, data in _outputs(arguments, console, saved, drawn, number + k, day):
             files[path] = data
@@ -221,8 +213,7 @@ def _finish(arguments: argparse.Namespace, console: cli.Console, saved: SavedPla
         raise
     if arguments.days is None:
         when_leaving = ', '.join(filter(None, (dates[0], drawn.slot)))
-        routes = ''.join(f'route {k}, ' for k in numbers)
-        console.line(f'{when_leaving}: {routes}{distance(drawn.length)}')
+        console.line(f'{when_leaving}: {distance(drawn.length)}')
     if files:
         console.secret(files)
     if arguments.dry_run:

@@ -4,27 +4,23 @@
 from __future__ import annotations
 
 import argparse
-import math
+import csv
+import io
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..colours import AMBUSHER
 from . import cli
-from .geo_files import add_outputs, check_outputs, write_table
-from .planner_parser import planner_parser, source_names
+from .planner_parser import planner_parser
 from .positions import read_ground
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ..operations.frontier import FrontierRow
 
 EPILOG = """\
-The table (.csv) has value, length, exposure and entropy for each budget, the picture (.png) the
-same as curves.
+TABLE.csv has value, length, exposure and entropy for each budget, as the console does.
 """
 DETAILS = """\
 Solves a strategy for each of --detours, all with --slack, and for each of --slacks, all with
@@ -32,7 +28,7 @@ Solves a strategy for each of --detours, all with --slack, and for each of --sla
 Columns of the table are value and lower_bound, expected_length [m; s on roads with speeds],
 expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
 finding.
---json: {"verdict", "files", "rows": [{...}]}
+--json: {"verdict", "file", "rows": [{...}]}
 """
 
 
@@ -40,9 +36,10 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser(
         'frontier', 'Compare length budgets and slacks: value, length, exposure, entropy.',
-        EPILOG, DETAILS, '--start POSITION --goal POSITION [options] -o FILE ...',
+        EPILOG, DETAILS, '--start POSITION --goal POSITION [options] -o TABLE.csv',
         ('--detours', '--slacks'), stops=False)
-    add_outputs(made, 'table and picture to write', ('.csv', '.png'))
+    made.add_argument('-o', '--output', type=cli.file_of('.csv'), required=True,
+                      metavar='TABLE.csv', help='the table to write')
     made.add_argument('--detours', type=float, nargs='+', metavar='D',
                       help="length budgets, as multiples of the shortest route's length "
                       '(default: 1.02 to 1.5)')
@@ -55,7 +52,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)
-    check_outputs(arguments.output, console)
     risk_map, (x, y), (to_x, to_y), _ = read_ground(arguments, of_map)
 
     from ..operations.frontier import DETOURS, SLACKS, trip_frontier
@@ -65,22 +61,26 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     with console.waiting('solving') as tell:
         rows = trip_frontier(risk_map, (x, y), (to_x, to_y), planning, detours, slacks,
                              lambda _: tell(f'{next(solved)} of {budgets} budgets'))
-    write_frontier(arguments.output, rows, planning.strategy.max_detour,
-                   planning.strategy.risk_slack, source_names(arguments))
+    write_frontier(arguments.output, rows)
     console.line(_as_text(rows))
-    files = [cli.place(path) for path in arguments.output]
-    console.line('\n' + ', '.join(files))
-    console.result = {'files': files, 'rows': [asdict(row) for row in rows]}
+    file = cli.place(arguments.output)
+    console.line(f'\n{file}')
+    console.result = {'file': file, 'rows': [asdict(row) for row in rows]}
     return cli.Exit.FINDING if any(row.error for row in rows) else cli.Exit.HOLDS
 
 
-def write_frontier(paths: Sequence[Path], rows: Sequence[FrontierRow], max_detour: float,
-                   risk_slack: float, sources: Sequence[str] = ()) -> None:
-    """Write tables (.csv) and pictures (.png) with mode 0600."""
+def write_frontier(path: Path, rows: Sequence[FrontierRow]) -> None:
+    """Write a table with mode 0600: numbers of nine digits, and nothing where a row has none."""
     from ..operations.frontier import FrontierRow
+    from ..recordings.durable_files import write_all_durably
 
-    write_table(paths, [each.name for each in fields(FrontierRow)], [asdict(row) for row in rows],
-                lambda: frontier_figure(rows, max_detour, risk_slack), sources)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [each.name for each in fields(FrontierRow)], lineterminator='\n')
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
+                         for name, value in asdict(row).items()})
+    write_all_durably({path: text.getvalue().encode()})
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:
@@ -95,53 +95,6 @@ def _as_text(rows: Sequence[FrontierRow]) -> str:
         )
         lines.append(f'{row.max_detour:14g}{row.risk_slack:14g}{numbers}')
     return '\n'.join(lines)
-
-
-def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: float) -> Figure:
-    """Plot value, exposure and route entropy: over the detour (left) and over the slack (right).
-
-    Dashed lines mark ``max_detour`` and ``risk_slack``, which are fixed in each other's sweep.
-    """
-    from matplotlib.figure import Figure
-
-    from ..figures import PROBABILITY
-    from ..map_figures import HALO, WIDTH
-
-    figure = Figure(figsize=(WIDTH, 6.2), layout='constrained')
-    panels = figure.subplots(3, 2, sharex='col', sharey='row')
-    words = {'max_detour': 'detour', 'risk_slack': 'slack'}
-    convoy, style = PROBABILITY(0.6), {'marker': 'o', 'markersize': 5, 'zorder': 3}
-    for (value, exposure, entropy), name, fixed, title in (
-        (panels[:, 0], 'max_detour', max_detour, f'Longer routes (slack {risk_slack:g})'),
-        (panels[:, 1], 'risk_slack', risk_slack, f'More risk (detour {max_detour:g})'),
-    ):
-        solved = [row for row in rows if row.swept == name and not row.error]
-        solved.sort(key=lambda row: getattr(row, name))
-        x = [getattr(row, name) for row in solved]
-        bound = value.plot(x, [row.lower_bound for row in solved], color='0.45', linestyle=':',
-                           **style)
-        lines = value.plot(x, [row.value for row in solved], color=AMBUSHER, **style)
-        exposure.plot(x, [row.expected_exposure for row in solved], color=convoy, **style)
-        entropy.plot(x, [row.route_entropy / math.log(10.0) for row in solved], color=convoy,
-                     **style)
-        for axes in (value, exposure, entropy):
-            axes.axvline(fixed, color='0.6', linestyle='--', linewidth=1.2, zorder=1)
-            axes.grid(color='0.92')
-            axes.margins(y=0.15)
-        value.annotate(f'{words[name]} {fixed:g}', (fixed, 1.0), xycoords=('data', 'axes fraction'),
-                       xytext=(4, -14), textcoords='offset points', path_effects=HALO)
-        value.set_title(title, loc='left')
-    for axes, label in zip(panels[:, 0], (
-        'mean loss\nby the best ambush', 'danger on the way\n(mean loss x m)',
-        'equally likely routes\n(a power of 10)',
-    ), strict=True):
-        axes.set_ylabel(label)
-        bottom, top = axes.get_ylim()
-        axes.set_ylim(max(0.0, min(bottom, 0.8 * top)), top)  # small changes look small
-    panels[2, 0].set_xlabel('detour: mean over shortest length')
-    panels[2, 1].set_xlabel('slack: share of the value given up')
-    panels[0, 0].legend([*lines, *bound], ['value', 'lower bound'], frameon=False)
-    return figure
 
 
 main = cli.command(parser, _work)

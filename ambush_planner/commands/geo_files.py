@@ -4,18 +4,14 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..route_files import NEEDS, PLAN, SUFFIXES
 from .cli import Console, count, file_of, place, require
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ..route_files import Drawn
 
 FORMATS_HELP = """\
@@ -45,27 +41,6 @@ def check_outputs(paths: Sequence[Path], console: Console) -> None:
     for path in paths:
         if path.exists():
             console.say(f'{place(path)} will be overwritten.')
-
-
-def write_table(paths: Sequence[Path], columns: Iterable[str], rows: Iterable[Mapping[str, Any]],
-                figure: Callable[[], Figure], sources: Sequence[str] = ()) -> None:
-    """Write a table to .csv files, and its picture of ``sources`` to .png files, with mode 0600."""
-    from ..map_figures import as_png
-    from ..recordings.durable_files import write_all_durably
-
-    write_all_durably({path: _as_csv(columns, rows) if path.suffix.lower() == '.csv' else
-                       as_png(figure(), path.name, sources) for path in paths})
-
-
-def _as_csv(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> bytes:
-    """Return a table with numbers of nine digits; what a row lacks stays empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(columns), lineterminator='\n')
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
-                         for name, value in row.items()})
-    return text.getvalue().encode()
 
 
 def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:

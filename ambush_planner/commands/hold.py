@@ -7,28 +7,24 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from . import cli
-from .geo_files import add_outputs, check_outputs, write_table
 from .planner_parser import planner_parser, source_names
 from .positions import Position, read_ground
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ..maps.risk_map import RiskMap
     from ..operations.hold import Held, Holding
 
 EPILOG = """\
 PLACES has points with a name: a CSV file with name, and x, y or lat, lon, or a vector file.
-The table (.csv) has a row for each place, the picture (.png) the places on the map.
+The console has a line for each place, PICTURE.png the places on the map.
 """
 DETAILS = """\
 Finds the place that lowers the value of ambush plan most if nobody can wait within --radius of it,
 and nobody who drives there is hit; then the next one, given the first, and so on.
-In a row of the table, value and lower_bound are those if this place and those before it are held;
-no other candidate can bring the value below others instead. The picture also has the strategy if
-all are held, and the value as a curve.
+In a line, value and lower bound are those if this place and those before it are held. The picture
+also has the strategy if all are held.
 It ends at strategy.time_limit (60 s) with the best so far, and complete is false then.
---json: {"verdict", "files", "value", "lower_bound", "complete", "places": [{...}]}
+--json: {"verdict", "picture", "value", "lower_bound", "complete", "places": [{...}]}
 """
 
 
@@ -36,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = planner_parser(
         'hold', 'Find the places whose holding lowers the value most.', EPILOG, DETAILS,
-        '--start POSITION --goal POSITION --radius METRES [options] -o FILE ...',
+        '--start POSITION --goal POSITION --radius METRES [options] -o PICTURE.png',
         ('-k', '--radius', '--candidates'))
     made.add_argument('-k', '--count', type=cli.number(1, 100, int), default=5, metavar='K',
                       help='number of places to hold (default: 5)')
@@ -44,7 +40,8 @@ def parser() -> argparse.ArgumentParser:
                       help='radius of the area that holding a place secures')
     made.add_argument('--candidates', metavar='PLACES', help='the places that can '
                       "be held (default: places around the ambusher's sites)")
-    add_outputs(made, 'table and picture to write', ('.csv', '.png'))
+    made.add_argument('-o', '--output', type=cli.file_of('.png'), required=True,
+                      metavar='PICTURE.png', help='the picture to write')
     return made
 
 
@@ -52,11 +49,13 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from .inputs import options_from
 
     of_map, planning = options_from(arguments)
-    check_outputs(arguments.output, console)
     risk_map, start, goal, stops = read_ground(arguments, of_map)
 
     from ..game.strategy import within_slack
+    from ..map_figures import as_png
     from ..operations.hold import places_to_hold
+    from ..recordings.durable_files import write_all_durably
+    from .hold_figure import hold_figure
 
     given = read_places(arguments.candidates, risk_map) if arguments.candidates else None
     limit = planning.strategy.time_limit
@@ -66,27 +65,21 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             stops=stops, candidates=given, progress=lambda number, left: console.step(
                 f'place {number}: {cli.count(left, "candidate")} may be the best'))
     rows = [_row(number, step, risk_map) for number, step in enumerate(found.steps, 1)]
-    columns = rows[0] if rows else ('number', 'name', 'x', 'y', 'value', 'lower_bound')
-    write_table(arguments.output, columns, rows,
-                lambda: _picture(found, arguments.radius, risk_map), source_names(arguments))
+    output = arguments.output
+    write_all_durably({output: as_png(hold_figure(found, arguments.radius, risk_map), output.name,
+                                      source_names(arguments))})
     _tell(found, rows, arguments.count, arguments.start[0], risk_map, console)
     if not found.complete:
         console.warn(f'time is up after {limit:g} s: the last place is the best of those tried; '
                      'to find better ones, name a few --candidates, or allow more time '
                      '(strategy.time_limit)')
-    console.result['files'] = console.secret(arguments.output)
+    console.result['picture'] = console.secret([output])[0]
     sound = all(within_slack(step.strategy, planning.strategy) for step in found.steps)
     return cli.Exit.HOLDS if sound else cli.Exit.FINDING
 
 
-def _picture(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
-    from .hold_figure import hold_figure  # the table needs no matplotlib
-
-    return hold_figure(found, radius, risk_map)
-
-
 def _row(number: int, step: Held, risk_map: RiskMap) -> dict[str, Any]:
-    """The row of one place; the columns lat and lon are for maps with a coordinate system."""
+    """The numbers of one place; lat and lon are for maps with a coordinate system."""
     from ..maps.coordinates import Coordinates
 
     at = dict(zip('xy', step.xy, strict=True))

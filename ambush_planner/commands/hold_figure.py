@@ -3,32 +3,26 @@
 
 from __future__ import annotations
 
-from textwrap import fill
-from typing import Any
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
 from .. import figures, map_figures
-from ..colours import AMBUSHER
 from ..labels import Labels
 from ..maps.risk_map import RiskMap
 from ..operations.hold import Holding
 from ..words import count
 
 HELD = '#35c48c'  # a green that is none of the routes'
-NAME_WIDTH = 12  # characters in a line below the curve
-_TALL = 1.6  # height of the curve [inches]
 _KEY = Line2D([], [], linestyle='none', marker='o', markersize=12, color=HELD, alpha=0.5,
               markeredgewidth=0.0, label='held: nobody can wait here')
 
 
 def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
-    """The places on the map, with the strategy if all are held, and below the value as a curve."""
+    """The places on the map, with the strategy if all are held."""
     width, height = risk_map.size
-    figure = Figure(figsize=(map_figures.WIDTH, 5.0 + 4.2 * height / width), layout='compressed')
+    figure = Figure(figsize=(map_figures.WIDTH, 3.0 + 4.2 * height / width), layout='compressed')
     overview = figure.subplots()
     figures.draw_strategy(overview, found.strategies[-1], risk_map, key=[_KEY])
     held = f'{count(len(found.steps), "place")} held (green)'
@@ -42,18 +36,4 @@ def hold_figure(found: Holding, radius: float, risk_map: RiskMap) -> Figure:
         overview.add_patch(Circle(step.xy, radius, color=HELD, alpha=0.5, linewidth=0, zorder=5))
         spot = labels.place(np.array(step.xy), size, 0.25 * float(size[0]), True)
         figures.number_badge(overview, k, np.array(step.xy), HELD, spot)
-    entries = len(overview.get_legend().get_texts())
-    curve = overview.inset_axes((0.0, -figures.BELOW - 0.21 * entries - 0.35 - _TALL, 5.0, _TALL),
-                                transform=figures.inches(overview))
-    style: dict[str, Any] = {'marker': 'o', 'markersize': 5, 'clip_on': False, 'zorder': 3}
-    curve.plot([each.lower_bound for each in found.strategies], color='0.45', linestyle=':',
-               label='lower bound', **style)
-    curve.plot([each.value for each in found.strategies], color=AMBUSHER, label='value', **style)
-    names = [fill(f'{number} {step.name}', NAME_WIDTH)
-             for number, step in enumerate(found.steps, 1)]
-    curve.set_xticks(range(len(found.strategies)), ['0', *names])
-    curve.set(xlabel=f'places held, {radius:g} m around each', ylim=(0.0, None),
-              ylabel='mean loss\nby the best ambush')
-    curve.grid(color='0.92')
-    curve.legend(frameon=False)
     return figure

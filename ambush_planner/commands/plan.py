@@ -35,7 +35,7 @@ have the routes that -n draws. All are secret, and only you can read them.
 If the gap is over 10 % (strategy.max_gap): exit code 1, no FILE.plan without --accept-gap.
 """
 DETAILS = f"""\
-The node and ambush card read FILE.plan, too.
+The node reads FILE.plan, too.
 {FORMATS_HELP}
 With --routes, the files have a layer or track for each route, with its number and share, and .png
 shows all. The table on the console has the faces of one or two dice (a first and a second one) and
@@ -89,6 +89,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
             raise cli.UsageError(f'--slots must go forwards in time, but {after} follows {before}')
     if arguments.window > 1 and not slots:
         raise cli.UsageError('--window needs --slots HH:MM ...')
+    if arguments.routes is not None and any(
+            path.suffix.lower() == PLAN for path in arguments.output):
+        raise cli.UsageError('--routes is for briefing and for draws by hand: leave out FILE.plan, '
+                             'or --routes')
     check_outputs(arguments.output, console)
     risk_map, start, goal, stops = read_ground(arguments, of_map)
 
@@ -183,7 +187,7 @@ def _hold_line(arguments: argparse.Namespace, plan: Plan) -> str:
                  map(str, value) if isinstance(value, list) else [value] * (value is not True)))]
     radius = 2.0 * (plan.options.game.ambush_radius or plan.spacing)
     return ' '.join(['ambush hold', *map(_quoted, [str(arguments.map), *given]),
-                     f'--radius {radius:g} -o hold.csv hold.png'])
+                     f'--radius {radius:g} -o hold.png'])
 
 
 def _quoted(word: str) -> str:

@@ -15,7 +15,7 @@ COMMON = ('-o', '--start', '--goal', '--via', '--roads', '--reach', '--held', '-
           '--crs', '--set')
 HELP = """\
 MAP is a map of map_server (.yaml), a GeoTIFF, or an npz file; ambush risk makes one.
-A POSITION is X Y in its metres, LAT,LON in degrees, an MGRS reference, or as a card prints it.
+A POSITION is X Y in its metres, LAT,LON in decimal degrees, or an MGRS reference.
 """
 DETAILS = """
 A GeoTIFF has the values of map_server, -1..100; an npz file has alpha and obstacles (H, W), row 0

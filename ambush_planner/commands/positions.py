@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -23,21 +22,15 @@ if TYPE_CHECKING:
 
 _POSITIONS = {'--start': 'where trips begin', '--via': 'stops',
               '--goal': 'where trips end; the start again for a round trip'}
-KINDS = ('X Y [m], LAT,LON with decimal points, degrees and minutes with N, S, E, W, or an MGRS or '
-         'UTM reference')
+KINDS = 'X Y [m], LAT,LON in decimal degrees, or an MGRS reference'
 _NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?'
-_ANGLE = r'(\d+(?:\.\d*)?(?:[\s:]+\d+(?:\.\d*)?){0,2})'
-_SIDED = rf'(?:([NSEW])\s*{_ANGLE}|{_ANGLE}\s*([NSEW]))'
 # How positions are typed, the signs of angles being blanks.
 _PATTERNS = {kind: re.compile(rf'{pattern}(?=[\s,;]|$)', re.IGNORECASE) for kind, pattern in {
     'mgrs': r'(\d{1,2}[C-HJ-NP-X])\s*([A-HJ-NP-Z]{2})\s*(?:(\d{1,5})\s+(\d{1,5})|(\d{2,10}))',
-    'utm': r'(\d{1,2})\s*([C-HJ-NP-X])\s+(\d{5,8}(?:\.\d+)?)(?:\s*m?E)?[\s,]+'
-           r'(\d{1,8}(?:\.\d+)?)(?:\s*m?N)?',
-    'sided': rf'{_SIDED}[\s,;]*{_SIDED}',
     'degrees': rf'({_NUMBER})\s*,\s*({_NUMBER})',
     'metres': rf'({_NUMBER})\s+({_NUMBER})',
 }.items()}
-_SIGNS = re.compile('[°º˚\'′’"″”]')
+_SIGNS = re.compile('[°º˚]')
 # A place [m] in a message.
 _PLACE = re.compile(r'\((-?\d+\.\d+), (-?\d+\.\d+)\)')
 
@@ -62,16 +55,14 @@ class Position:
         """Another world position [m] on the map, written as this one was typed."""
         import numpy as np
 
-        from ..maps.coordinates import Coordinates
-        from ..maps.grid_references import mgrs_references, utm_references
+        from ..maps.coordinates import Coordinates, mgrs_references
 
         if not (self.in_degrees and risk_map.crs):
             x, y = np.asarray(xy, dtype=float).tolist()
             return f'({x:.1f}, {y:.1f})'
         place = Coordinates(risk_map.crs).to_lat_lon(xy)
-        if self.kind in ('mgrs', 'utm'):
-            write = mgrs_references if self.kind == 'mgrs' else utm_references
-            return write(place[None])[0]
+        if self.kind == 'mgrs':
+            return mgrs_references(place[None])[0]
         return '{:.5f},{:.5f}'.format(*place)
 
     def __str__(self) -> str:
@@ -120,40 +111,19 @@ def positions_in(text: str) -> list[Position]:
 def _numbers(kind: str, *parts: str) -> Iterable[Any]:
     """The numbers of a position (2,) from the groups of its pattern."""
     if kind == 'mgrs':
-        from ..maps.grid_references import from_mgrs
+        from ..maps.coordinates import from_mgrs
 
         zone, square, east, north, both = parts
         half = (len(both or '') + 1) // 2
         return from_mgrs(zone + square, *((both[:half], both[half:]) if both else (east, north)))
-    if kind == 'utm':
-        from ..maps.grid_references import from_utm
-
-        zone, letter, east, north = parts
-        return from_utm(int(zone), letter.upper(), float(east), float(north))
     if kind == 'metres':
         return parts
-    if kind == 'sided':
-        angles = {(before or after).upper(): _degrees(first or second)
-                  for before, first, second, after in (parts[:4], parts[4:])}
-        latitude, longitude = (angles.get(side, -angles.get(other, math.nan))
-                               for side, other in ('NS', 'EW'))
-    else:
-        latitude, longitude = map(float, parts)
-    is_comma = kind == 'degrees' and re.fullmatch(r'0\d+', parts[1])  # as in 37,06096
+    latitude, longitude = map(float, parts)
+    is_comma = re.fullmatch(r'0\d+', parts[1])  # as in 37,06096
     if is_comma or not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0):
-        raise InvalidCoordinates('no latitude and longitude; write LAT,LON with decimal points, '
-                                 'one angle with N or S and the other with E or W, or X Y [m] with '
-                                 'a blank')
-    return latitude, longitude
-
-
-def _degrees(text: str) -> float:
-    """Degrees of a text of degrees, minutes and seconds."""
-    parts = [float(part) for part in re.split(r'[\s:]+', text.strip())]
-    if any(part >= 60.0 for part in parts[1:]) or any(part % 1.0 for part in parts[:-1]):
-        raise InvalidCoordinates('minutes and seconds are under 60, and only the last number of an '
-                                 'angle has decimals')
-    return sum(part / 60.0**k for k, part in enumerate(parts))
+        raise InvalidCoordinates('no latitude and longitude; write LAT,LON with decimal points, or '
+                                 'X Y [m] with a blank')
+    return parts
 
 
 def written(xy: npt.ArrayLike, risk_map: RiskMap) -> str:
@@ -229,17 +199,13 @@ def _xy(name: str, given: Position, risk_map: RiskMap) -> FloatArray:
 
 
 def _hint(given: Position, risk_map: RiskMap) -> str:
-    """The position on the map that was meant: other signs, order or hemisphere."""
+    """The position on the map that was meant: other signs or order."""
     a, b = given.numbers
     meant = [(Position((one * x, other * y), 'degrees', f'{one * x:.10g},{other * y:.10g}'),
               'Write LAT,LON, negative in the south and west')
              for (x, y), one, other in product(((a, b), (b, a)), (1.0, -1.0), (1.0, -1.0))]
     if not given.in_degrees:
         meant.insert(0, (Position((b, a), 'metres', f'{b:.10g} {a:.10g}'), 'Write X before Y'))
-    if given.kind == 'utm':
-        other = re.sub('[NS]', lambda side: 'NS'['SN'.index(side[0].upper())], given.text, count=1,
-                       flags=re.IGNORECASE)
-        meant = [(each, 'N and S are hemispheres') for each in positions_in(other)]
     for position, rule in meant:
         if position.is_on(risk_map):
             return f'; did you mean {position}? {rule}'

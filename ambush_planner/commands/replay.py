@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,20 +19,22 @@ if TYPE_CHECKING:
     from ..recordings.messages import Channel
     from ..recordings.recording_file import RecordingFile
 
+    Publishers = Mapping[Channel, Any]
+
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
 Publishes the recorded bytes on the recorded topics, with the recorded quality of service and
 timing; departures are --every seconds apart. First waits for listeners on each topic, for up to
-3.5 s, or 10 s with --inputs-only. Keeps latched messages for late joiners until all listeners
-have them (for 30 s at most), or until Ctrl-C with --keep. Remapping and node options follow
---ros-args at the end, as for any ROS executable:
-  ambush replay FOLDER --keep --topics /alpha_map /path
-  ambush replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
+3.5 s. Keeps latched messages for late joiners until all listeners have them (for 30 s at most), or
+until Ctrl-C with --keep. Remapping and node options follow --ros-args at the end, as for any ROS
+executable:
+  ambush replay FOLDER --keep --ros-args -r /path:=/convoy/way
+Some topics only, or another rate: ros2 bag play FILE.mcap --topics /alpha_map --rate 2
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
 Ctrl-C ends it with exit code 0.
 """
-# Longest wait for listeners [s]; discovery takes up to 3.3 s, and a planner may just be starting.
-_DISCOVERY, _DISCOVERY_OF_INPUTS = 3.5, 10.0
+# Longest wait for listeners [s]; discovery takes up to 3.3 s.
+_DISCOVERY = 3.5
 # A listener that was discovered discovers the publisher a little later [s].
 _SETTLING = 0.5
 # Longest wait for receipts [s]: a listener loses messages when their publisher goes.
@@ -43,24 +44,17 @@ _ENDS = signal.SIGINT, signal.SIGTERM
 
 
 class NothingToPublish(AmbushPlannerError):
-    """The recordings hold no message that was asked for."""
+    """None of the recordings can be read."""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = readers.reader_parser(
-        'replay', 'Publish recorded departures again, for RViz or for a running planner.', EPILOG
-    )
+        'replay', 'Publish recorded departures again, for RViz.', EPILOG)
     made.add_argument('-e', '--every', type=cli.number(0.0, 1e6), default=5.0, metavar='SECONDS',
                       help='time from one departure to the next (default: %(default)s)')
-    made.add_argument('-r', '--rate', type=cli.number(1e-6, 1e9), default=1.0,
-                      help='how many times as fast as recorded (default: %(default)s)')
     made.add_argument('-k', '--keep', action='store_true',
                       help='keep latched messages until Ctrl-C')
-    made.add_argument('--inputs-only', action='store_true',
-                      help='publish only map, start, stops and goal, to feed a running planner')
-    made.add_argument('--topics', nargs='+', metavar='TOPIC',
-                      help='publish only these topics, by their recorded names')
     made.add_argument('--ros-args', nargs=argparse.REMAINDER, default=[],
                       help='arguments of the ROS node')
     return made
@@ -73,7 +67,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     # Handlers are set even where a shell's background job would ignore SIGINT.
     for number in _ENDS:
         signal.signal(number, _end_once)
-    replay = _Replay(options, console)
+    files, unreadable = _files(options.recordings, console)
+    published: Counter[str] = Counter()
     try:
         try:
             rclpy.init(args=[NODE_NAME, '--ros-args', *options.ros_args],
@@ -82,118 +77,82 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
             raise cli.UsageError(f'after --ros-args: {error}') from error
         node = rclpy.create_node(NODE_NAME, start_parameter_services=False)
         try:
-            replay.run(node)
+            publishers = {channel: publisher_of(node, channel)
+                          for channel in sorted(set().union(*files.values()))}
+            console.say(cli.count(len(files), 'departure'))
+            if unheard := _wait_for_listeners(publishers.values()):
+                console.say(f'nobody listens to {", ".join(unheard)}')
+            _publish(files, publishers, options.every, published, console)
+            if missing := _wait_for_receipts(publishers.values()):
+                console.say(f'some listeners have not received all of {", ".join(missing)}')
+            while options.keep:
+                console.say('everything is published; Ctrl-C ends it')
+                signal.pause()
         finally:
             node.destroy_node()
     except KeyboardInterrupt:
         pass
     finally:
         rclpy.try_shutdown()
-    console.result = {'published': dict(replay.published), 'unreadable': replay.unreadable}
-    return cli.Exit.UNREADABLE if replay.unreadable else cli.Exit.HOLDS
+    console.result = {'published': dict(published), 'unreadable': unreadable}
+    return cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
 
 
-class _Replay:
-    """Makes all publishers first, then publishes message after message in time."""
+def _files(place: Path, console: cli.Console) -> tuple[Mapping[Path, set[Channel]], list[str]]:
+    """Return the readable files with their channels, and the errors of the others."""
+    from ..recordings.recorded_departures import recordings_in
+    from ..recordings.recording_errors import UnreadableRecording
+    from ..recordings.recording_file import read_recording
 
-    def __init__(self, options: argparse.Namespace, console: cli.Console) -> None:
-        self._options, self._console = options, console
-        self.unreadable: list[str] = []
-        self.published: Counter[str] = Counter()
-        self._publishers: dict[Channel, Any] = {}
-        self._due = 0.0
+    found, unreadable = {}, []
+    for path in console.progress(recordings_in(place), 'read'):
+        try:
+            found[path] = own_channels(read_recording(path))
+        except UnreadableRecording as error:
+            unreadable.append(str(error))
+            console.error(error)
+    if not found:
+        raise NothingToPublish('none of the recordings can be read')
+    return found, unreadable
 
-    def run(self, node: Any) -> None:
-        """Publish until the end or until KeyboardInterrupt."""
-        files = self._files()
-        self._advertise(node, set().union(*files.values()))
-        self._console.say(cli.count(len(files), 'departure'))
-        if unheard := self._wait_for_listeners():
-            self._console.say(f'nobody listens to {", ".join(unheard)}')
-        self._publish(files)
-        if missing := self._wait_for_receipts():
-            self._console.say(f'some listeners have not received all of {", ".join(missing)}')
-        if self._options.keep:
-            self._console.say('everything is published; Ctrl-C ends it')
-            while True:
-                signal.pause()
 
-    def _files(self) -> Mapping[Path, set[Channel]]:
-        """Return the readable files with their channels."""
-        from ..recordings.recorded_departures import recordings_in
-        from ..recordings.recording_errors import UnreadableRecording
-        from ..recordings.recording_file import read_recording
+def _publish(files: Iterable[Path], publishers: Publishers, every: float, published: Counter[str],
+             console: cli.Console) -> None:
+    """Publish all messages in time, and count them by topic."""
+    from ..recordings.recording_file import read_recording
 
-        paths = recordings_in(self._options.recordings)
-        found = {}
-        for path in self._console.progress(paths, 'read'):
-            try:
-                found[path] = own_channels(read_recording(path))
-            except UnreadableRecording as error:
-                self.unreadable.append(str(error))
-                self._console.error(error)
-        if not found:
-            raise NothingToPublish('none of the recordings can be read')
-        return found
+    due = 0.0
+    for path in files:
+        messages = read_recording(path).messages
+        _sleep_until(due)
+        begin = time.monotonic()
+        due = begin + every
+        for each in messages:
+            _sleep_until(begin + (each.stamp_ns - messages[0].stamp_ns) / 1e9)
+            publishers[each.channel].publish(each.data)
+            published[each.topic] += 1
+        console.say(f'{cli.place(path)}: {cli.count(len(messages), "message")}')
 
-    def _advertise(self, node: Any, known: set[Channel]) -> None:
-        from ..recordings.schemas import INPUT_TYPES
 
-        topics = sorted({channel.topic for channel in known})
-        if missing := set(self._options.topics or topics).difference(topics):
-            raise NothingToPublish(
-                f'nothing is recorded on {", ".join(sorted(missing))}, only on {", ".join(topics)}'
-            )
-        self._publishers = {
-            channel: publisher_of(node, channel) for channel in sorted(known)
-            if channel.topic in (self._options.topics or topics)
-            and (channel.type in chain(*INPUT_TYPES.values()) or not self._options.inputs_only)
-        }
-        if not self._publishers:
-            raise NothingToPublish('none of these topics is an input')
+def _wait_for_listeners(publishers: Iterable[Any]) -> list[str]:
+    """Wait until each topic has a listener; return the topics without one."""
+    end, unheard = time.monotonic() + _DISCOVERY, [*publishers]
+    while unheard and time.monotonic() < end:
+        time.sleep(_STEP)
+        unheard = [each for each in unheard if not each.get_subscription_count()]
+    time.sleep(_SETTLING)
+    return sorted({each.topic_name for each in unheard})
 
-    def _publish(self, files: Iterable[Path]) -> None:
-        """Publish everything in time."""
-        from ..recordings.recording_file import read_recording
 
-        for path in files:
-            messages = [each for each in read_recording(path).messages
-                        if each.channel in self._publishers]
-            if not messages:
-                continue
-            _sleep_until(self._due)
-            begin = time.monotonic()
-            self._due = begin + self._options.every
-            for each in messages:
-                recorded = (each.stamp_ns - messages[0].stamp_ns) / 1e9
-                _sleep_until(begin + recorded / self._options.rate)
-                self._publishers[each.channel].publish(each.data)
-                self.published[each.topic] += 1
-            self._console.say(f'{cli.place(path)}: {cli.count(len(messages), "message")}')
+def _wait_for_receipts(publishers: Iterable[Any]) -> list[str]:
+    """Wait until all reliable listeners have everything; return the topics that lack some."""
+    from rclpy.duration import Duration
 
-    def _wait_for_listeners(self) -> list[str]:
-        """Wait until each topic has a listener; return the topics without one."""
-        limit = _DISCOVERY_OF_INPUTS if self._options.inputs_only else _DISCOVERY
-        end = time.monotonic() + limit
-        while self._unheard() and time.monotonic() < end:
-            time.sleep(_STEP)
-        time.sleep(_SETTLING)
-        return self._unheard()
-
-    def _wait_for_receipts(self) -> list[str]:
-        """Wait until all reliable listeners have everything; return the topics that lack some."""
-        from rclpy.duration import Duration
-
-        end = time.monotonic() + _LAST_RECEIPTS
-        waiting = list(self._publishers.values())
-        while waiting and time.monotonic() < end:
-            waiting = [each for each in waiting
-                       if not each.wait_for_all_acked(Duration(seconds=_STEP))]
-        return sorted({each.topic_name for each in waiting})
-
-    def _unheard(self) -> list[str]:
-        publishers = self._publishers.values()
-        return sorted({each.topic_name for each in publishers if not each.get_subscription_count()})
+    end, waiting = time.monotonic() + _LAST_RECEIPTS, [*publishers]
+    while waiting and time.monotonic() < end:
+        waiting = [each for each in waiting
+                   if not each.wait_for_all_acked(Duration(seconds=_STEP))]
+    return sorted({each.topic_name for each in waiting})
 
 
 def own_channels(file: RecordingFile) -> set[Channel]:

@@ -15,12 +15,11 @@ if TYPE_CHECKING:
 PAGE = 'report.html'
 EPILOG = """\
 The page, report.html, shows the map, the strategy, the routes, a comparison with planners that
-always drive the same route, and what is guaranteed, with one section per map and trip. The map can
-be moved and zoomed, layers and single departures can be selected, and the cost of an ambush is
-shown at the pointer. The list of departures links their recordings. The page needs no network; its
-only script is inline. It shows secret routes: its mode is 0600, that of a new folder 0700. With
---verify it also says what ambush verify and ambush audit find; the exit code is 1 if a recording
-fails verification.
+always drive the same route, and what is guaranteed, with one section per map and trip. The list of
+departures links their recordings. The page needs neither network nor scripts; for a map to move and
+zoom, ambush export writes a GeoPackage for QGIS. It shows secret routes: its mode is 0600, that of
+a new folder 0700. With --verify it also says what ambush verify and ambush audit find; the exit
+code is 1 if a recording fails verification.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified",
 "struck": {FILE: WHY}}
 """

@@ -1,35 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report as one HTML page that needs no network: its style, script and data are inline.
+"""The report as one HTML page that needs no network: its style and pictures are inline.
 
-All text from files passes ``html.escape``. The Content-Security-Policy names the only script by its
-hash, so nothing else would run.
+All text from files passes ``html.escape``. The Content-Security-Policy lets no script run.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from html import escape
 from pathlib import Path
 from string import Template
 from urllib.parse import quote
 
-from ..colours import AMBUSHER, ENDS, OBSTACLE, PROBABILITY, RISK, ROUTES
-from ..errors import InvalidCoordinates
-from ..recordings.report_data import Section, map_data
-from ..words import percent, rounded
+from ..colours import OBSTACLE, PROBABILITY
+from ..map_figures import as_png
+from ..recordings.report_data import Section
+from ..route_files import Drawn
 from . import report_words as words
 from .cli import count, resource
 
-# The colours of the page by their names in CSS and in the script.
-COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
-           'routes': ROUTES, 'obstacle': [OBSTACLE], 'ambusher': [AMBUSHER], 'ends': [ENDS]}
-# Least and greatest ratio of width to height of the map on the page.
-MIN_RATIO, MAX_RATIO = 0.6, 2.5
+# The colours of the page by their names in CSS.
+COLOURS = {'accent': PROBABILITY[2], 'text': OBSTACLE}
 SEVERAL = (
     '{} strategies were computed for this trip: its network was refined, or the start, the goal or '
     'the settings changed a little. The page shows probabilities and numbers of the latest one; '
@@ -60,10 +55,8 @@ def page(sections: Sequence[Section], folder: Path, warnings: Sequence[str],
          checks: Checks | None) -> str:
     """Return the page for a folder; ``checks`` is None if the recordings were not verified."""
     problems = _problems(checks) if checks else []
-    script = resource('report_map.js')
     return Template(resource('report_page.html')).substitute(
-        digest=b64encode(hashlib.sha256(script.encode()).digest()).decode(), script=script,
-        colours=' '.join(f'--{name}: {", ".join(each)};' for name, each in COLOURS.items()),
+        colours=' '.join(f'--{name}: {each};' for name, each in COLOURS.items()),
         style=resource('report.css'), warnings=_warnings([*problems, *warnings]),
         status=_status(checks),
         audit=_audit(checks, sum(len(section.departures) for section in sections)),
@@ -72,12 +65,6 @@ def page(sections: Sequence[Section], folder: Path, warnings: Sequence[str],
             for k, section in enumerate(sections, start=1)
         ),
     )
-
-
-def colours(section: Section) -> list[str | None]:
-    """Colours of the departures; all but the latest have none."""
-    total = len(section.departures)
-    return [ROUTES[k % len(ROUTES)] if k >= total - len(ROUTES) else None for k in range(total)]
 
 
 def _problems(checks: Checks) -> list[str]:
@@ -105,47 +92,26 @@ def _audit(checks: Checks | None, departures: int) -> str:
 
 
 def _section(section: Section, folder: Path, name: str) -> str:
-    departures, trip = section.departures, section.trip
+    departures = section.departures
     times = dict.fromkeys(words.leaving(departures[k]) for k in (0, -1))
     warnings, several = [], len({id(each.trip) for each in departures})
     if any(each.parameters.values['seed'] >= 0 for each in departures):
         warnings.append(FIXED_SEED)
-    try:
-        data = map_data(section)
-    except InvalidCoordinates as error:
-        warnings.append(f'No latitude and longitude at the pointer: {error}.')
-        data = map_data(section, with_degrees=False)
-    data['colours'] = colours(section)
-    left, bottom, right, top = data['box']
-    ratio = min(max((right - left) / (top - bottom), MIN_RATIO), MAX_RATIO)
+    times_drawn = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc)
+                   for each in departures]
+    drawn = Drawn(section.trip, section.risk_map, [each.path_poses for each in departures],
+                  times_drawn, covered=departures[-1].covered)
     return Template(resource('report_section.html')).substitute(
         heading=f'{name}{count(len(departures), "departure")}, {" to ".join(times)}',
         warnings=_warnings(warnings) + _paragraphs([SEVERAL.format(several)] * (several > 1)),
-        ratio=f'{ratio:.3f}', picture=_picture(section, ratio),
-        data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
+        picture=b64encode(as_png(drawn.picture())).decode(),
         tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
                       for number, text in words.tiles(section)),
-        least=rounded(min(data['levels'])), most=rounded(max(data['levels'])),
-        likeliest=percent(float(trip.ground_uses[1].max(initial=0.0))),
-        **{name: '' if there else 'hidden' for name, there in (
-            ('waits', trip.value > 0.0), ('holds', data['discs']),
-            ('blocks', section.risk_map.obstacles.any()))},
-        north='; N is true north' if data['degrees'] else '',
         departures=_departures(section, folder),
         certificate=_paragraphs(words.certificate(section)),
         measures=_table(words.measures(section), 'first'),
         quantities=_table([(), *words.quantities(section)]),
     )
-
-
-def _picture(section: Section, ratio: float) -> str:
-    """The map as a picture for those who run no scripts; nothing without matplotlib."""
-    try:
-        from .report_picture import map_picture
-    except ModuleNotFoundError:
-        return ''
-    return ('<img alt="Map of risk, probabilities, ambush sites and routes" src="data:image/jpeg;'
-            f'base64,{b64encode(map_picture(section, ratio)).decode()}">')
 
 
 def _paragraphs(texts: Iterable[str]) -> str:
@@ -158,16 +124,13 @@ def _warnings(texts: Iterable[str]) -> str:
 
 
 def _departures(section: Section, folder: Path) -> str:
-    """The table of departures: a button that selects the route, its numbers, and its recording."""
+    """The table of departures: the number of each on the map, and its recording."""
     head, *rows = words.departures(section)
     lines = []
-    for each, colour, (number, *cells) in zip(section.departures, colours(section), rows,
-                                              strict=True):
-        dot = f'<i style="background:{colour or "none"}"></i>'
-        button = f'<button type="button" aria-pressed="false">{dot}{number}</button>'
+    for each, (number, *cells) in zip(section.departures, rows, strict=True):
         file = quote(os.path.relpath(each.path, folder))
         name = escape(each.metadata.departure_id)
-        lines.append(f'<tr title="departure {name}"><th scope="row">{button}</th>'
+        lines.append(f'<tr title="departure {name}"><th scope="row">{number}</th>'
                      f'{_cells(cells)}<td><a href="{file}">MCAP</a></td></tr>')
     return _framed([*head, 'recording'], lines, 'departures')
 

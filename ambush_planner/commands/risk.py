@@ -28,17 +28,17 @@ _GROUND = {'slope_limit': 'maximum drivable slope (rise/run, default: 0.42)'}
 COMMON = ('-o', '--resolution', '--weapon-range', '--slope-limit', '--crs')
 USAGE = 'ambush risk DEM_OR_LAYERS [options] -o MAP.yaml'
 EPILOG = """\
-A DEM is a GeoTIFF of heights, or an npz file. LAYERS.yaml has a line for each layer of risk, such
+A DEM is a GeoTIFF of heights. LAYERS.yaml has a line for each layer of risk, such
 as terrain, villages, roads and incidents; docs/risk_layers.md explains them.
 It writes MAP.yaml and MAP.pgm for map_server, a picture, MAP.png, and, if the coordinate system is
 known, a GeoTIFF, MAP.tif, with its style for QGIS; of layers also MAP.npz with the exact losses.
 MAP.sources.json has the files that it was made from by name and hash, for ambush draw.
 """
 DETAILS = """\
-DEM is a GeoTIFF, or an npz file with elevation (H, W) [m], the northernmost row first, NaN where
-unknown, and resolution [m]. Values of the map: 0..99 risk, 100 too steep, -1 unknown. Risk is the
-weighted mean of four shares: depth of the cell below the ground within weapon range, share of that
-ground from which a vehicle can be seen, how close a person can come unseen, and slope.
+DEM is a GeoTIFF or another raster of heights in metres. Values of the map: 0..99 risk, 100 too
+steep, -1 unknown. Risk is the weighted mean of four shares: depth of the cell below the ground
+within weapon range, share of that ground from which a vehicle can be seen, how close a person can
+come unseen, and slope.
 ambush_planner.maps has the formulas. For roads in it, write layers: terrain and roads. A GeoTIFF
 in degrees is reprojected to its UTM zone, and the map keeps the coordinate system.
 
@@ -50,8 +50,7 @@ LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas
   - {incidents: incidents.geojson, loss: 5, bandwidth: 400, half_life: 180}
   - {roads: roads.gpkg, width: 8, factor: 0.5, passable: true}
 
-MAP.png has a picture of each layer and of the result. The second band of a GeoTIFF from an
-elevation model has the heights.
+MAP.png shows the result with the shapes of all layers.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """
 
@@ -60,7 +59,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('risk', DESCRIPTION, EPILOG, COMMON, DETAILS, USAGE)
     made.add_argument('source', type=cli.existing, metavar='DEM_OR_LAYERS',
-                      help='the elevation model (.tif, .npz), or the layers (.yaml)')
+                      help='the elevation model (.tif, ...), or the layers (.yaml)')
     made.add_argument('-o', '--output', type=cli.file_of('.yaml', '.yml'), required=True,
                       metavar='MAP.yaml', help='the map to write')
     terrain = made.add_argument_group('with an elevation model')
@@ -93,24 +92,19 @@ def _given(arguments: argparse.Namespace, names: Iterable[str]) -> dict[str, Any
 def _of_terrain(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     from ..map_figures import as_png
     from ..maps import TerrainOptions, ViewOptions
-    from ..maps.risk_map_file import in_local_frame
     from ..maps.terrain_risk import terrain_of_file
     from ..recordings.sources import list_sources
     from .risk_figure import layers_figure
 
-    if arguments.source.suffix.lower() != '.npz':
-        cli.require(('pyproj', 'rasterio'))
+    cli.require(('pyproj', 'rasterio'))
     options = TerrainOptions(view=ViewOptions(**_given(arguments, _VIEW)),
                              **_given(arguments, (*_GROUND, 'weights')))
-    frame = arguments.crs if arguments.crs.startswith('datum ') else ''
     with console.waiting('lines of sight') as tell:
         grid = terrain_of_file(arguments.source, options, arguments.resolution,
-                               None if frame else arguments.crs or None,
+                               arguments.crs or None,
                                lambda share: tell(f'{share:.0%}'))
     picture = as_png(layers_figure(grid.risk_map(), ()), _picture_of(arguments).name,
                      [arguments.source.name])
-    if frame:
-        grid = in_local_frame(grid, frame)
     files = _written(arguments.output, grid, 'Risk map from an elevation model.', picture)
     files.append(list_sources(files, [arguments.source]))
     console.line(_summary(grid))

@@ -25,8 +25,7 @@ For each departure, checks the file's checksums, rebuilds the network from the r
 parameters, recomputes the certificate from the recorded probabilities alone (it proves the value,
 and that no strategy within the budgets has less than the lower bound), and redraws route and path
 from the recorded entropy. Also finds random sources that are too short or repeat in the folder,
-copies of a recording, and recordings that the folder's list has, or diversions left, and that are
-missing.
+copies of a recording, and diversions without the recording that they left.
 --replan also solves each game again, without a warm start, and compares the values. With --map or
 --roads, the ground as it is now: is each departure clear there, and what does the best ambush cost?
 The exit code is 1 if one is not clear. A plan file can be verified, too.

@@ -49,7 +49,9 @@ def find_distribution(search: Search) -> Incumbent:
     if best.good or search.legs.no_reentry or search.problem.out_of_time:
         return best
     mixture = find_mixture(search)
-    return mixture if mixture.value < best.value else best
+    # More sites are known now.
+    value, _ = largest_product(search.loss, search.entering, best.law)
+    return mixture if mixture.value <= value else best
 
 
 def find_chain(search: Search) -> Incumbent | None:
@@ -61,6 +63,7 @@ def find_chain(search: Search) -> Incumbent | None:
     """
     program, distribution, entropy = search.program, _around_flow(search), 0.0
     best: Incumbent | None = None
+    known = len(search.loss)  # sites when rounds began
     end, begin = search.deadline, time.monotonic()
     latest = begin + ROUNDS_END * (end - begin)
     if search.problem.site_search is None:  # otherwise other sites may cost the flow more
@@ -83,7 +86,9 @@ def find_chain(search: Search) -> Incumbent | None:
         if not feasible or (found and program.bound == 0.0):
             # The flow keeps to the caps of all sites: begin again there, and if the bound is 0,
             # without edges that they hit.
-            distribution = _around_flow(search)
+            if len(search.loss) == known:
+                break
+            distribution, known = _around_flow(search), len(search.loss)
             continue
         distribution.measure(_cap(search))
         best = search.better(best, distribution)

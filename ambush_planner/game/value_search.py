@@ -23,6 +23,8 @@ ROUGH_GAP = 0.5
 # How often sites join before the distribution is sought; more often while the value is 0. In the
 # last of these rounds and later, sites may be as near to each other as the program allows.
 SWEEPS = 3
+# How often sites join a program over routes before it is solved precisely.
+ROUGH_SWEEPS = 2
 
 
 def find_value(problem: SearchProblem, rough: bool = False) -> Search:
@@ -65,13 +67,18 @@ def tighten(search: Search) -> None:
 
 def find_sites(search: Search, sweeps: int = SWEEPS) -> None:
     """Constraint generation: solve the program, add the most violated sites, repeat."""
+    program = search.program
     for sweep in range(ROUNDS):
+        rough = sweep < ROUGH_SWEEPS and program.bound == 0.0 and isinstance(program, Routes)
+        if isinstance(program, Routes):
+            program.rough = rough
         search.solve_program()
-        if search.problem.out_of_time or (sweep >= sweeps and search.program.bound > 0.0):
+        if search.problem.out_of_time or (sweep >= sweeps and program.bound > 0.0):
             break
         apart = ROUTES.apart if sweep < sweeps - 1 else 0.0
-        threshold = ceiling(search.program.bound, search.tolerance)
-        if search.add_violated_sites(program_law(search), threshold, apart) is None:
+        threshold = max(ceiling(program.bound, search.tolerance), program.value)
+        found = search.add_violated_sites(program_law(search), threshold, apart)
+        if found is None and not rough:
             break
 
 

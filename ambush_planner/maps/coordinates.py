@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coordinate systems: world positions of a map to latitude and longitude, and back.
+"""Coordinate systems: world positions of a map to latitude and longitude or MGRS, and back.
 
 A map file names its system as text: either anything that pyproj reads (``EPSG:32616``, WKT) with
 metres as its unit, or ``datum LAT LON YAW``, the local frame of a robot whose navsat_transform
 (package robot_localization) has that ``datum`` and no ``use_local_cartesian``. Its origin is LAT
 LON; its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_offset`` and
-``magnetic_declination_radians``). Lengths are those of the UTM zone.
+``magnetic_declination_radians``). Lengths at the origin are those of the UTM zone: within 3 km, the
+frame is navsat_transform's to 10 cm.
 """
 
 from __future__ import annotations
@@ -20,57 +21,34 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..errors import InvalidCoordinates, import_extra
-from .risk_map import to_map_axes, to_world
 
 # Maximum relative stretch of lengths; projections with more, such as Web Mercator, are not used.
 MAX_STRETCH = 0.01
 WGS84 = 'EPSG:4326'
-_TERMS = 8  # of a polynomial, in each direction
 
 
 class Coordinates:
     """The coordinate system of a map's world positions (x, y) [m].
 
-    ``crs`` is its ``pyproj.CRS``, and ``origin`` (x, y, yaw) the pose of the world frame in it.
+    ``crs`` is its ``pyproj.CRS``.
 
     Raises InvalidCoordinates if the text is no coordinate system in metres, or pyproj is missing.
     """
 
     def __init__(self, text: str) -> None:
-        self.origin = (0.0, 0.0, 0.0)
         if not text:
             raise InvalidCoordinates('the coordinate system of the map is unknown; name it (--crs '
                                      "EPSG:32616), or the robot's frame (--crs 'datum LAT LON "
                                      "YAW')")
-        words = text.split()
-        if words[:1] != ['datum']:
-            self.crs = horizontal(text)
-            self._to_degrees = converter(self.crs, horizontal(WGS84))
-            if not (self.crs.is_projected and is_metric(self.crs)):
-                raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
-                                         'metre; reproject the map, for example to its UTM zone')
-            return
-        try:
-            latitude, longitude, yaw = map(float, words[1:])
-            if not math.isfinite(latitude + longitude + yaw):
-                raise ValueError
-        except ValueError:
-            raise InvalidCoordinates(
-                f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None
-        self.crs = utm_zone(latitude, longitude)
+        self.crs = horizontal(text)
         self._to_degrees = converter(self.crs, horizontal(WGS84))
-        turn = _pyproj().Proj(self.crs).get_factors(longitude, latitude).meridian_convergence
-        (x, y), = self.from_lat_lon([(latitude, longitude)])
-        self.origin = x, y, yaw + math.radians(turn)
-
-    def to_crs(self, xy: npt.ArrayLike) -> FloatArray:
-        """Convert world positions (..., 2) to easting and northing in ``crs`` (..., 2) [m]."""
-        return to_world(self.origin, xy)
+        if not (self.crs.is_projected and is_metric(self.crs)):
+            raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
+                                     'metre; reproject the map, for example to its UTM zone')
 
     def to_lat_lon(self, xy: npt.ArrayLike) -> FloatArray:
         """Convert world positions (..., 2) to WGS 84 latitude and longitude (..., 2) [degrees]."""
-        east, north = np.moveaxis(self.to_crs(xy), -1, 0)
-        longitude, latitude = self._to_degrees.transform(east, north)
+        longitude, latitude = self._to_degrees.transform(*np.moveaxis(np.asarray(xy), -1, 0))
         return np.stack((latitude, longitude), axis=-1)
 
     def from_lat_lon(self, lat_lon: npt.ArrayLike) -> FloatArray:
@@ -88,26 +66,7 @@ class Coordinates:
             if bad.any():
                 first = np.stack((latitude, longitude), axis=-1)[bad][0].tolist()
                 raise InvalidCoordinates(f'{first}: {problem} ({bad.sum()} such positions)')
-        return to_map_axes(self.origin, xy)
-
-
-def degrees_polynomial(crs: str, low: FloatArray, high: FloatArray) -> dict[str, Any]:
-    """Return a polynomial for latitude and longitude in the box ``low`` to ``high`` (2,) [m].
-
-    With s and t in -1..1 over the box, latitude is the sum of ``lat[i][j] s^i t^j``, interpolated
-    at Chebyshev points. The error is under 1 mm in boxes of 300 km. Raises InvalidCoordinates.
-    """
-    middle, half = (high + low) / 2.0, (high - low) / 2.0
-    at = np.cos(math.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
-    s, t = np.meshgrid(at, at, indexing='ij')
-    powers = np.linalg.inv(np.vander(at, increasing=True))
-    degrees = Coordinates(crs).to_lat_lon(middle + half * np.stack((s, t), axis=-1))
-    # Continuous across the antimeridian.
-    first = degrees[0, 0, 1]
-    degrees[..., 1] = (degrees[..., 1] - first + 180.0) % 360.0 + first - 180.0
-    latitude, longitude = (powers @ degrees[..., k] @ powers.T for k in (0, 1))
-    return {'middle': middle.tolist(), 'half': half.tolist(), 'lat': latitude.tolist(),
-            'lon': longitude.tolist()}
+        return xy
 
 
 def utm_zone(latitude: float, longitude: float) -> Any:
@@ -140,9 +99,31 @@ def metric_system(crs: Any, x: float, y: float) -> Any:
     return utm_zone(latitude, longitude)
 
 
+def is_robot_frame(text: object) -> bool:
+    """Return whether a text names the frame of a robot, as ``datum LAT LON YAW``."""
+    return str(text).split()[:1] == ['datum']
+
+
+def _robot_frame(text: str) -> str:
+    """The frame of a robot for PROJ: an oblique Mercator projection, which can be turned."""
+    try:
+        latitude, longitude, yaw = map(float, text.split()[1:])
+        if not math.isfinite(latitude + longitude + yaw):
+            raise ValueError
+    except ValueError:
+        raise InvalidCoordinates(
+            f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None
+    zone = utm_zone(latitude, longitude)
+    scale = _pyproj().Proj(zone).get_factors(longitude, latitude).meridional_scale
+    return (f'+proj=omerc +lat_0={latitude!r} +lonc={longitude!r} +alpha=45 '
+            f'+gamma={45.0 + math.degrees(yaw)!r} +k={scale!r} +datum=WGS84 +units=m')
+
+
+@lru_cache(16)
 def horizontal(text: Any) -> Any:
     """Return the ``pyproj.CRS`` of a text without its heights; raises InvalidCoordinates."""
     pyproj = _pyproj()
+    text = _robot_frame(text) if is_robot_frame(text) else text
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # +init=epsg:32616 is an old way to say it
@@ -155,9 +136,9 @@ def horizontal(text: Any) -> Any:
 def resolve_system(own: Any, given: Any = None) -> Any:
     """Return the horizontal ``pyproj.CRS`` of a file that names ``own``; None if it is unknown.
 
-    ``given`` names it if the file does not: if ``own`` is missing, undefined, a local system, or
-    lacks a datum. Raises InvalidCoordinates if ``given`` has another unit or projection, or if
-    nothing names the datum, or a unit other than the metre.
+    ``given`` names it if the file does not: if ``own`` is missing, undefined or a local system.
+    Raises InvalidCoordinates if that has another unit than ``given`` or the metre, or if ``own``
+    has no datum.
     """
     own, given = (horizontal(each) if each else None for each in (own, given))
     if own is None or own.name.lower().startswith('undefined'):
@@ -169,15 +150,7 @@ def resolve_system(own: Any, given: Any = None) -> Any:
                                      f'{unit}; convert it to metres, or name a system in that '
                                      'unit with --crs')
         return given
-    try:
-        converter(own, horizontal(WGS84))
-    except InvalidCoordinates:
-        if given is None:
-            raise
-        if not _same_projection(own, given):
-            raise InvalidCoordinates(f'the file is in another projection, {own.name!r}, than '
-                                     f'{given.name}') from None
-        return given
+    converter(own, horizontal(WGS84))  # else its datum is unknown
     return own
 
 
@@ -185,22 +158,9 @@ def agree(one: str, other: str) -> bool:
     """Return whether two texts name the same coordinate system, whatever they say of heights."""
     if one == other:
         return True
-    words = one.split(), other.split()
-    if any(each[0] == 'datum' for each in words):
-        return words[0][0] == words[1][0] and [*map(float, words[0][1:])] == [
-            *map(float, words[1][1:])]
     first, second = horizontal(one), horizontal(other)
     return bool(first.equals(second, ignore_axis_order=True)
                 or first.to_epsg() is not None and first.to_epsg() == second.to_epsg())
-
-
-def _same_projection(one: Any, other: Any) -> bool:
-    """Return whether two systems are one projection of one ellipsoid, of whatever datum."""
-    axes = np.array([(each.ellipsoid.semi_major_metre, each.ellipsoid.semi_minor_metre)
-                     for each in (one, other)])
-    degrees = np.meshgrid(np.arange(-175.0, 180.0, 10.0), np.arange(-85.0, 90.0, 10.0))
-    first, second = (np.array(_pyproj().Proj(each)(*degrees)) for each in (one, other))
-    return bool(np.ptp(axes, axis=0).max() < 1.0 and np.allclose(first, second))
 
 
 @lru_cache(16)
@@ -221,8 +181,8 @@ def converter(source: Any, target: Any) -> Any:
         what = f'ellipsoid {crs.ellipsoid.name}' if crs.ellipsoid else 'it is a local system'
         raise InvalidCoordinates(
             f'the datum of the coordinate system {crs.name!r} is unknown ({what}), so that its '
-            'places can be 100 m and more off on the ground; name the whole system with --crs, by '
-            'its EPSG code or with +towgs84') from error
+            'places can be 100 m and more off on the ground; give the file a system with a datum, '
+            'with gdal_edit.py -a_srs or Assign Projection in QGIS') from error
 
 
 def _pyproj() -> Any:
@@ -249,7 +209,7 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
         return points
     system = Coordinates(map_crs)
     xy = np.stack(converter(own, system.crs).transform(*points.T), axis=-1)
-    return to_map_axes(system.origin, np.where(np.isfinite(xy), xy, np.nan))
+    return np.where(np.isfinite(xy), xy, np.nan)
 
 
 def longest_edge(crs: Any) -> float:
@@ -259,3 +219,39 @@ def longest_edge(crs: Any) -> float:
     """
     system = horizontal(crs)
     return 0.01 if system.is_geographic else 1000.0 / system.axis_info[0].unit_conversion_factor
+
+
+def from_mgrs(zone_and_square: str, east: str, north: str) -> FloatArray:
+    """Latitude and longitude of the south-west corner of the square of an MGRS reference.
+
+    Raises InvalidCoordinates, and ModuleNotFoundError without the package mgrs.
+    """
+    from mgrs import MGRS
+    from mgrs.core import MGRSError
+
+    if len(east) == len(north) < 3:
+        raise InvalidCoordinates(f'a square of {10 ** (5 - len(east))} m is no position; write 3 '
+                                 'to 5 digits of easting and of northing')
+    try:
+        if len(east) == len(north):
+            return np.array(MGRS().toLatLon(f'{zone_and_square}{east}{north}'.upper()))
+    except MGRSError:
+        pass
+    raise InvalidCoordinates('no MGRS reference, such as 36S UG 68180 12179')
+
+
+def mgrs_references(lat_lon: FloatArray) -> list[str]:
+    """Return MGRS references to 1 m; raises ModuleNotFoundError without the package mgrs."""
+    from mgrs import MGRS
+
+    found = [MGRS().toMGRS(*place) for place in lat_lon]
+    return [f'{text[:-12]} {text[-12:-10]} {text[-10:-5]} {text[-5:]}' for text in found]
+
+
+def true_bearings(lat_lon: FloatArray) -> FloatArray:
+    """Directions (K - 1,) from each position to the next, clockwise from north [degrees]."""
+    from pyproj import Geod
+
+    (latitude, longitude), (next_latitude, next_longitude) = lat_lon[:-1].T, lat_lon[1:].T
+    turned, *_ = Geod(ellps='WGS84').inv(longitude, latitude, next_longitude, next_latitude)
+    return np.asarray(turned) % 360.0

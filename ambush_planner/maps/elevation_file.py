@@ -1,34 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rasters from files: heights, or values of a risk map. GeoTIFF, other GDAL formats, and .npz.
+"""Rasters from files: heights, or values of a risk map. GeoTIFF and other GDAL formats.
 
 What a file declares is applied or refused: scale, offset, unit, vertical system, nodata, masks,
-colours, coordinate system. Heights that cannot be heights are unknown. Warnings count them.
-
-An .npz file holds the array ``elevation`` (H, W) [m], northernmost row first as in a GeoTIFF, NaN
-if unknown, and the cell size ``resolution`` [m].
+colours, coordinate system. Heights that cannot be heights are unknown; a warning counts them.
 """
 
 from __future__ import annotations
 
-import math
 import re
 import warnings
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..arrays import arrays_in
 from ..errors import InvalidCoordinates, InvalidRiskMap, import_extra, warn
 from . import raster_units as units
-from .coordinates import agree, metric_system, resolve_system
+from .coordinates import agree, horizontal, is_robot_frame, metric_system, resolve_system
 from .elevation import MAX_CELLS, HeightArray, InvalidTerrain, Raster
 from .file_kinds import refuse_other_kinds
 from .risk_map import LOSSES
 
-HEIGHTS = 'elevation'  # name of the second band of a risk map, which has the heights [m]
 # GDAL's drivers of rasters that can be heights or risk.
 _DRIVERS = ('GTiff', 'VRT', 'AAIGrid', 'SRTMHGT', 'DTED', 'USGSDEM', 'HFA', 'EHdr', 'ENVI', 'ERS',
             'GPKG', 'netCDF', 'XYZ', 'GSAG', 'GSBG', 'GS7BG', 'SAGA', 'JP2OpenJPEG')
@@ -36,53 +29,25 @@ _HEIGHTS_BY_NAME = re.compile(
     rf'(?i)elevation|height|altitude|\b(d[est]m|alti)\b|{units.DEPTH.pattern[4:]}')
 # Range of heights on Earth outside the sea [m].
 LOWEST, HIGHEST = -430.0, 9000.0
-# A hole has at least this many cells of one exact value, this far from all others [m].
-HOLE_CELLS, HOLE_DEPTH = 9, 50.0
 # Rows that are read at a time, so that a large file takes no more memory than its values.
 _ROWS = 512
 _CACHE = 64  # of GDAL [MB]
 
 
 def read_raster(path: Path, is_risk: bool = False, crs: str | None = None) -> Raster:
-    """Read heights from an .npz file or a GeoTIFF, or the values of a risk map from a GeoTIFF.
+    """Read heights, or the values of a risk map, from a GeoTIFF or another raster.
 
-    Those of a risk map are whole numbers, -1..100, NaN if unknown. A file
-    without a coordinate system gets ``crs``. One whose units are not metres on the ground (degrees,
-    feet, Web Mercator) is reprojected to its UTM zone: heights by bilinear interpolation, others by
-    nearest cells.
+    Those of a risk map are whole numbers, -1..100, NaN if unknown. A file without a coordinate
+    system gets ``crs``. Heights whose cells are not in metres on the ground (degrees, feet, Web
+    Mercator) are reprojected to the UTM zone, and to ``crs`` if that is the frame of a robot, by
+    bilinear interpolation.
 
-    Raises InvalidTerrain if the file is malformed or too large, or if a GeoTIFF needs rasterio and
-    it is not installed; InvalidRiskMap if heights are read as risk; OSError if the file cannot be
-    opened.
+    Raises InvalidTerrain if the file is malformed or too large, or if rasterio is not installed;
+    InvalidRiskMap if heights are read as risk, or a risk map is not in metres; OSError if the file
+    cannot be opened.
     """
-    is_npz = path.suffix.lower() == '.npz'
-    if not is_npz:
-        refuse_other_kinds(path, InvalidTerrain)
-    if is_npz or zipfile.is_zipfile(path):
-        return _read_npz(path, crs)
-    return _read_gdal(path, is_risk, crs)
-
-
-def _read_npz(path: Path, crs: str | None) -> Raster:
-    try:
-        found = arrays_in(path, ('elevation', 'resolution'))
-        values = found['elevation'].astype(np.float32)[::-1]
-        resolution = float(found['resolution'])
-    except KeyError as error:
-        raise InvalidTerrain(f'{path}: no array {error}; see ambush risk --help for the '
-                             'layout') from None
-    except (ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidTerrain(f'{path}: not a readable .npz file: {error}') from error
-    if values.ndim != 2 or values.size == 0:
-        raise InvalidTerrain(f'{path}: must be (H, W), got shape {values.shape}')
-    if not 0.0 < resolution < math.inf:
-        raise InvalidTerrain(f'{path}: resolution must be positive [m], got {resolution:g}')
-    _fill_holes(path, values)
-    return Raster(values, resolution, resolution, crs=crs)
-
-
-def _read_gdal(path: Path, is_risk: bool, crs: str | None) -> Raster:
-    rasterio = import_extra('rasterio', f'{path}: formats other than .npz', 'gis', InvalidTerrain)
+    refuse_other_kinds(path, InvalidTerrain)
+    rasterio = import_extra('rasterio', f'{path}: rasters', 'gis', InvalidTerrain)
     with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE):
         warnings.simplefilter('ignore', rasterio.errors.NotGeoreferencedWarning)  # refused
         try:
@@ -105,16 +70,18 @@ def _read_gdal(path: Path, is_risk: bool, crs: str | None) -> Raster:
 
 def _of_dataset(path: Path, dataset: Any, is_risk: bool, crs: str | None) -> Raster:
     """The raster in an open rasterio dataset."""
-    _check(path, dataset, is_risk)
-    system = resolve_system(dataset.crs and dataset.crs.to_wkt(), crs)
+    _check(path, dataset)
+    frame = crs if is_robot_frame(crs) else None
+    system = resolve_system(dataset.crs and dataset.crs.to_wkt(), None if frame else crs)
     units.check_axes(path, units.tags_of(dataset), system)
-    values = _values(dataset, 1.0 if is_risk else units.metres_per_unit(path, dataset))
+    values = _values(dataset)
     if is_risk:
         _refuse_heights(path, dataset, values)
     else:
+        units.check_heights(path, dataset)
         _fill_holes(path, values)
-    raster = _in_metres(path, values, dataset.transform, system, is_risk)
-    if crs and system and not (agree(crs, system.to_wkt()) or agree(crs, str(raster.crs))):
+    raster = _in_metres(path, values, dataset.transform, system, is_risk, frame)
+    if crs and system and not any(agree(crs, each) for each in (system.to_wkt(), str(raster.crs))):
         raise InvalidTerrain(f'{path}: the file is in {system.name}, not in {crs}; leave out '
                              '--crs (crs), or correct the file')
     least, most = (float(dataset.tags().get(tag, loss))
@@ -122,7 +89,7 @@ def _of_dataset(path: Path, dataset: Any, is_risk: bool, crs: str | None) -> Ras
     return replace(raster, losses=(least, most))
 
 
-def _check(path: Path, dataset: Any, is_risk: bool) -> None:
+def _check(path: Path, dataset: Any) -> None:
     """Raise InvalidTerrain if an open rasterio dataset is not a raster of one kind of value."""
     from rasterio.enums import ColorInterp
 
@@ -134,8 +101,7 @@ def _check(path: Path, dataset: Any, is_risk: bool) -> None:
     if missing := [each for each in dataset.files if not Path(each).exists()]:
         raise InvalidTerrain(f'{path}: names {missing[0]}, which is not here')
     has_alpha = dataset.count == 2 and dataset.colorinterp[1] == ColorInterp.alpha
-    has_heights = is_risk and dataset.descriptions[1:] == (HEIGHTS,)
-    if dataset.count != 1 and not (has_alpha or has_heights):
+    if dataset.count != 1 and not has_alpha:
         raise InvalidTerrain(f'{path}: has {dataset.count} bands, must have one; choose it with '
                              'gdal_translate -b')
     if dataset.colorinterp[0] == ColorInterp.palette:
@@ -150,8 +116,8 @@ def _check(path: Path, dataset: Any, is_risk: bool) -> None:
                              'east; convert the raster with gdalwarp')
 
 
-def _values(dataset: Any, factor: float) -> HeightArray:
-    """The values (H, W) times ``factor``, the north first; NaN if masked or nodata."""
+def _values(dataset: Any) -> HeightArray:
+    """The values (H, W), the north first; NaN if masked or nodata."""
     from rasterio.windows import Window
 
     (scale, *_), (offset, *_) = dataset.scales, dataset.offsets
@@ -159,7 +125,7 @@ def _values(dataset: Any, factor: float) -> HeightArray:
     for row in range(0, len(values), _ROWS):
         part = values[row: row + _ROWS]
         stored = dataset.read(1, masked=True, window=Window(0, row, part.shape[1], len(part)))
-        part[:] = (stored.astype(np.float64).filled(np.nan) * scale + offset) * factor
+        part[:] = stored.astype(np.float64).filled(np.nan) * scale + offset
     return values
 
 
@@ -170,22 +136,12 @@ def _check_size(path: Path, rows: int, columns: int) -> None:
 
 
 def _fill_holes(path: Path, heights: HeightArray) -> None:
-    """Set heights [m] to NaN where they can be none: impossible ones, and undeclared nodata."""
+    """Set heights [m] to NaN where they can be none."""
     odd = np.isinf(heights) | (heights < LOWEST) | (heights > HIGHEST)
-    said = [(int(odd.sum()), f'outside {LOWEST:g} to {HIGHEST:g} m')] if odd.any() else []
-    heights[odd] = np.nan
-    # A file can have several numbers for its holes.
-    for best, beyond, side in ((np.fmin, np.greater, 'below'), (np.fmax, np.less, 'above')) * 2:
-        most = best.reduce(heights, axis=None)
-        rest = best.reduce(heights, axis=None, where=beyond(heights, most), initial=np.nan)
-        hole = heights == most
-        if hole.sum() >= HOLE_CELLS and abs(rest - most) >= HOLE_DEPTH:
-            heights[hole] = np.nan
-            said.append((int(hole.sum()), f'of exactly {most:g} m, {abs(rest - most):.4g} m '
-                         f'{side} all others'))
-    for count, what in said:
-        warn(f'{path}: {count} of {heights.size} heights are unknown: {what}; declare the number '
-             'for no data with gdal_edit.py -a_nodata')
+    if odd.any():
+        heights[odd] = np.nan
+        warn(f'{path}: {odd.sum()} of {odd.size} heights are unknown: outside {LOWEST:g} to '
+             f'{HIGHEST:g} m; declare the number for no data with gdal_edit.py -a_nodata')
 
 
 def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
@@ -193,7 +149,7 @@ def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
     unit, about = units.unit_of(dataset), dataset.descriptions[0] or ''
     known = values[np.isfinite(values)]
     reason = ''
-    if units.metres_in(unit):
+    if unit:
         reason = f'its unit is {unit!r}'
     elif units.vertical_axis(dataset):
         reason = 'its coordinate system has heights'
@@ -213,7 +169,8 @@ def _refuse_heights(path: Path, dataset: Any, values: HeightArray) -> None:
         warn(f'{path}: no value is over 1, of 100: if 1 stands for the most risk, multiply by 100')
 
 
-def _in_metres(path: Path, values: HeightArray, grid: Any, own: Any, nearest: bool) -> Raster:
+def _in_metres(path: Path, values: HeightArray, grid: Any, own: Any, is_risk: bool,
+               frame: str | None) -> Raster:
     """Values (H, W), the northernmost row first, reprojected if the system is not in metres."""
     from rasterio import Affine
     from rasterio.transform import array_bounds
@@ -222,18 +179,23 @@ def _in_metres(path: Path, values: HeightArray, grid: Any, own: Any, nearest: bo
         west, south, east, north = array_bounds(*values.shape, grid)
         turns = round((west + east) / 720.0) if own.is_geographic else 0  # longitudes from 0 to 360
         grid = Affine(grid.a, 0.0, grid.c - 360.0 * turns, 0.0, grid.e, grid.f)
-        target = metric_system(own, (west + east) / 2.0 - 360.0 * turns, (south + north) / 2.0)
+        target = horizontal(frame) if frame else metric_system(
+            own, (west + east) / 2.0 - 360.0 * turns, (south + north) / 2.0)
+        if target is not own and is_risk:
+            raise InvalidRiskMap(f'{path}: its cells are not in metres on the ground, but in '
+                                 f'{own.name}; reproject it with gdalwarp -r near -t_srs '
+                                 f'{target.to_string()} -tr METRES METRES')
         if target is not own:
-            values, grid = _reprojected(path, values, grid, own, target, nearest)
-            warn(f'{path}: reprojected from {own.name} to {target.name} ({target.to_string()}), '
-                 f'cells of {grid.a:.4g} m')
-        own = target.to_string()
-    return Raster(values[::-1], -grid.e, grid.a, (grid.c, grid.f + grid.e * len(values)), own)
+            values, grid = _reprojected(path, values, grid, own, target)
+            warn(f'{path}: reprojected from {own.name} to '
+                 f'{frame or f"{target.name} ({target.to_string()})"}, cells of {grid.a:.4g} m')
+        own = frame or target.to_string()
+    return Raster(values[::-1], -grid.e, grid.a, (grid.c, grid.f + grid.e * len(values)),
+                  own or frame)
 
 
-def _reprojected(path: Path, values: HeightArray, grid: Any, crs: Any, target: Any,
-                 nearest: bool) -> tuple[HeightArray, Any]:
-    from rasterio import Affine
+def _reprojected(path: Path, values: HeightArray, grid: Any, crs: Any,
+                 target: Any) -> tuple[HeightArray, Any]:
     from rasterio.enums import Resampling
     from rasterio.io import MemoryFile
     from rasterio.vrt import WarpedVRT
@@ -241,21 +203,11 @@ def _reprojected(path: Path, values: HeightArray, grid: Any, crs: Any, target: A
     rows, columns = values.shape
     # Plain interpolation: a transform that is exact to 1e-6 cells, and no smoothing across cells.
     options = {'crs': target.to_wkt(), 'tolerance': 1e-6, 'XSCALE': 1, 'YSCALE': 1,
-               'resampling': Resampling.nearest if nearest else Resampling.bilinear}
+               'resampling': Resampling.bilinear}
     with MemoryFile() as file:
         with file.open(driver='GTiff', height=rows, width=columns, count=1, dtype='float32',
                        crs=crs.to_wkt(), transform=grid, nodata=np.nan) as stored:
             stored.write(values, 1)
-        with file.open() as stored:
-            with WarpedVRT(stored, **options) as warped:
-                place, size = warped.transform, np.array((warped.height, warped.width))
-            if nearest:
-                # A wall of one cell stays whole if each of its cells has a centre of a new one.
-                step = place.a * min(size / (rows, columns)) / math.sqrt(2.0)
-                size = np.ceil(size * place.a / step).astype(int)
-                place = Affine(step, 0.0, place.c, 0.0, -step, place.f)
-            height, width = size.tolist()
-            _check_size(path, height, width)
-            with WarpedVRT(stored, transform=place, height=height, width=width,
-                           **options) as warped:
-                return warped.read(1), place
+        with file.open() as stored, WarpedVRT(stored, **options) as warped:
+            _check_size(path, warped.height, warped.width)
+            return warped.read(1), warped.transform

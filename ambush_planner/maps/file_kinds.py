@@ -34,7 +34,7 @@ _KINDS = tuple((re.compile(start, re.DOTALL | re.IGNORECASE), suffixes.split(), 
     (rb'.{,500}"osm3s"', '', 'an answer of Overpass in JSON', 'ask for XML ([out:xml]), as .osm'),
     (rb'\s*\{\s*"(locations|semanticSegments|timelineObjects)"', '', 'a location history of Google',
      'convert it to GPX'),
-    (rb'AC10\d\d', '.dwg', 'a drawing of AutoCAD', 'save it as DXF'),
+    (rb'AC10\d\d', '.dwg', 'a drawing of AutoCAD', 'convert it to GeoPackage'),
 ))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Density of past incidents: a Gaussian kernel on the cells of a map, and its bandwidth."""
+"""Density of past incidents: a Gaussian kernel on the cells of a map."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from ..arrays import FloatArray
 from ..option_checks import check_at_least
@@ -21,10 +20,6 @@ if TYPE_CHECKING:
 
 # Number of incidents whose density is computed at a time; bounds the memory.
 CHUNK = 4096
-# Number of bandwidths that cross-validation compares.
-BANDWIDTHS = 24
-# Maximum number of incidents that cross-validation uses.
-MAX_VALIDATED = 3000
 
 
 def weighted_incidents(features: GeoDataFrame,
@@ -34,27 +29,19 @@ def weighted_incidents(features: GeoDataFrame,
     Also says how many there are, and when, if dates matter. Raises InvalidFeatures if an
     attribute is missing or malformed.
     """
-    from pandas import Series
-
     places = np.stack((features.geometry.x, features.geometry.y), axis=1)
     weights = attribute_values(features, 'weight', values['weight'])
     half_life = values['half_life']
     check_at_least('half_life', half_life, 1e-3, 'days', finite=False)
-    if half_life == math.inf and values['until'] is None:
+    if half_life == math.inf:
         return places, weights, ''
     dates = read_dates(attribute(features, 'date', values['date']), values['date'])
     if missing := int(dates.isna().sum()):
         raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have no date such '
                               'as 2025-03-31')
-    until = (dates.max() if values['until'] is None
-             else read_dates(Series([values['until']]), 'until').iloc[0])
-    counts = (dates <= until).to_numpy()
-    if not counts.any():
-        raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')
-    days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
-    return (places[counts], (weights * 0.5 ** (days / half_life))[counts],
-            f'{counts.sum()} of {len(dates)} incidents count, {dates.min():%Y-%m-%d} to '
-            f'{dates[counts].max():%Y-%m-%d}')
+    days = ((dates.max() - dates).dt.total_seconds() / 86400.0).to_numpy()
+    return (places, weights * 0.5 ** (days / half_life),
+            f'{len(dates)} incidents, {dates.min():%Y-%m-%d} to {dates.max():%Y-%m-%d}')
 
 
 def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,
@@ -68,42 +55,3 @@ def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,
                                    ground.alpha.shape[::-1], strict=True))
         density += (along * weights[begin: begin + CHUNK, None]).T @ across
     return density
-
-
-def count_near(ground: RiskMap, places: FloatArray, distance: float) -> FloatArray:
-    """The number of places (K, 2) within ``distance`` [m] of each cell's centre (H, W)."""
-    rows, columns = ground.alpha.shape
-    u, v = ground.to_map_axes(places).T / ground.resolution - 0.5  # in rows and columns of centres
-    reach = distance / ground.resolution
-    # Each place adds 1 from the first near cell of a row on, and takes it off after the last one.
-    changes = np.zeros(rows * (columns + 1))
-    for offset in range(-math.ceil(reach), math.ceil(reach) + 1):
-        row = np.rint(v).astype(np.int64) + offset
-        half = np.sqrt(np.maximum(reach**2 - (row - v) ** 2, 0.0))
-        first, last = np.ceil(u - half), np.floor(u + half)
-        used = ((np.abs(row - v) <= reach) & (row >= 0) & (row < rows) & (last >= 0)
-                & (first < columns) & (first <= last))
-        at = row[used] * (columns + 1)
-        for column, change in ((first[used], 1.0), (last[used] + 1.0, -1.0)):
-            column = np.clip(column, 0, columns).astype(np.int64)
-            changes += change * np.bincount(at + column, minlength=len(changes))
-    return np.cumsum(changes.reshape(rows, columns + 1), axis=1)[:, :-1]
-
-
-def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,
-                              weights: FloatArray) -> tuple[float, bool]:
-    """The bandwidth [m] that best predicts each incident from all others (leave-one-out).
-
-    Also returns whether it is the largest of those compared: then there is no visible pattern.
-    """
-    heaviest = np.argsort(-weights, kind='stable')[:MAX_VALIDATED]
-    places, weights = places[heaviest], weights[heaviest]
-    squared = cdist(places, places, 'sqeuclidean')
-    np.fill_diagonal(squared, np.inf)
-    tried = np.geomspace(ground.resolution, max(ground.size) / 2.0, BANDWIDTHS)
-    likelihood = [
-        weights @ np.log(np.maximum(np.exp(-squared / (2.0 * h**2)) @ weights / h**2, 1e-300))
-        for h in tried
-    ]
-    best = int(np.argmax(likelihood))
-    return float(tried[best]), best == len(tried) - 1

@@ -4,7 +4,7 @@
 Maps are written in mode ``raw``, which preserves all values: a pixel of 0..100 is the cell value,
 any other is unknown. The image is PGM (P5), top row first. Keys that map_server ignores: ``crs``,
 the coordinate system of the map's origin; ``alpha_min`` and ``alpha_max``, the losses of the
-values 0 and 100. ``trinary`` and ``scale`` are read as
+values 0 and 100. Images are grey with 8 bits. ``trinary`` and ``scale`` are read as
 map_server reads them. Source: navigation2 (jazzy), nav2_map_server/src/map_io.cpp.
 """
 
@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..arrays import BoolArray, FloatArray
 from ..errors import AmbushPlannerError, InvalidOption, InvalidRiskMap, import_extra
 from .elevation import MAX_CELLS
 from .occupancy import OccupancyMap
 from .risk_map import LOSSES
 
 _MODES = ('trinary', 'scale', 'raw')
+_GREY = 'convert the image to grey with 8 bits, without transparency'
 # PGM header: width, height and largest value, separated by white space or comments.
 _PGM = re.compile(rb'P5(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s')
 
@@ -71,10 +71,9 @@ def read_map(path: Path) -> OccupancyMap:
     mode = str(fields.get('mode', 'trinary')).lower()
     if mode not in _MODES:
         raise InvalidRiskMap(f'{path}: mode must be one of {", ".join(_MODES)}, got {mode!r}')
-    pixels, light, opaque = _pixels(path.parent / str(fields['image']), mode)
-    values = _cells(path, light, opaque, mode, fields)
-    if pixels is not None:
-        values = values[pixels]
+    defaults = {'occupied_thresh': 0.65, 'free_thresh': 0.196, 'negate': 0}
+    numbers = {name: _numbers(path, defaults | fields, name, 1)[0] for name in defaults}
+    values = _cells(*_pixels(path.parent / str(fields['image'])), mode, numbers)
     origin = _numbers(path, fields, 'origin', 3)
     resolution = _numbers(path, fields, 'resolution', 1)[0]
     if resolution <= 0.0:
@@ -110,41 +109,36 @@ def _numbers(path: Path, fields: dict[str, Any], name: str, count: int) -> list[
     return numbers
 
 
-def _cells(path: Path, light: FloatArray, opaque: BoolArray, mode: str,
+def _cells(pixels: npt.NDArray[np.uint8], largest: int, mode: str,
            fields: dict[str, Any]) -> npt.NDArray[np.int8]:
-    """Convert lightness 0..1 to values -1..100 as map_server does."""
+    """Values -1..100 (H, W) of pixels up to ``largest``, as map_server converts them."""
+    light = np.arange(256) / largest
     if mode == 'raw':
         value = np.rint(light * 255.0)
-        return np.where(value <= 100.0, value, -1).astype(np.int8)
-    defaults = {'occupied_thresh': 0.65, 'free_thresh': 0.196, 'negate': 0}
-    full, free, negate = (_numbers(path, defaults | fields, name, 1)[0] for name in defaults)
-    occupied = light if negate else 1.0 - light
+        return np.where(value <= 100.0, value, -1).astype(np.int8)[pixels]
+    occupied = light if fields['negate'] else 1.0 - light
+    full, free = fields['occupied_thresh'], fields['free_thresh']
+    between = np.full(light.shape, -1.0)
     if mode == 'scale' and full > free:
         between = np.rint((occupied - free) / (full - free) * 100.0)
-        between = np.where(opaque, between, -1)
-    else:
-        between = np.full(light.shape, -1.0)
     value = np.where(occupied > full, 100, np.where(occupied < free, 0, between))
-    return np.where(opaque | (mode == 'trinary'), value, -1).astype(np.int8)
+    return value.astype(np.int8)[pixels]
 
 
-def _pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, FloatArray, BoolArray]:
-    """Return lightness (H, W) 0..1, top row first, and which pixels are opaque.
-
-    If pixels (H, W) are numbers of one channel, lightness and opacity are those of each number.
-    """
+def _pixels(path: Path) -> tuple[npt.NDArray[np.uint8], int]:
+    """Return the pixels (H, W) of a grey image of 8 bits, top row first, and the largest value."""
     data = path.read_bytes()
     header = _PGM.match(data)
     if header is None:
-        return _other_pixels(path, mode)
+        return _other_pixels(path), 255
     columns, rows, largest = map(int, header.groups())
     _check_size(path, columns, rows)
     if not 0 < largest < 256:
-        raise InvalidRiskMap(f'{path}: pixels up to {largest}; convert the image to 8 bits')
+        raise InvalidRiskMap(f'{path}: pixels up to {largest}; {_GREY}')
     if len(data) - header.end() < rows * columns:
         raise InvalidRiskMap(f'{path}: too short for {columns} x {rows} pixels')
     pixels = np.frombuffer(data, np.uint8, rows * columns, header.end()).reshape(rows, columns)
-    return pixels, np.arange(256) / largest, np.ones(256, bool)
+    return pixels, largest
 
 
 def _check_size(path: Path, columns: int, rows: int) -> None:
@@ -152,7 +146,7 @@ def _check_size(path: Path, columns: int, rows: int) -> None:
         raise InvalidRiskMap(f'{path}: {columns} x {rows} pixels; 1 to {MAX_CELLS} can be read')
 
 
-def _other_pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, FloatArray, BoolArray]:
+def _other_pixels(path: Path) -> npt.NDArray[np.uint8]:
     pillow = import_extra('PIL.Image', f'{path}: images other than binary PGM', 'figures',
                           InvalidRiskMap)
     try:
@@ -161,17 +155,10 @@ def _other_pixels(path: Path, mode: str) -> tuple[npt.NDArray[Any] | None, Float
             image = pillow.open(path)
         with image:
             _check_size(path, *image.size)
-            if image.mode[0] in 'IF':  # Pillow does not scale them
-                raise InvalidRiskMap(f'{path}: pixels of kind {image.mode}; convert the image to '
-                                     '8 bits')
-            if image.mode == 'L' and 'transparency' not in image.info:
-                return np.asarray(image), np.arange(256) / 255.0, np.ones(256, bool)
-            has_alpha = 'A' in image.getbands() or 'transparency' in image.info
-            pixels = np.asarray(image.convert('RGBA'), dtype=np.float64) / 255.0
+            if image.mode != 'L' or 'transparency' in image.info:
+                raise InvalidRiskMap(f'{path}: pixels of kind {image.mode}; {_GREY}')
+            return np.asarray(image)
     except InvalidRiskMap:
         raise
     except (OSError, ValueError, SyntaxError, pillow.DecompressionBombError) as error:
         raise InvalidRiskMap(f'{path}: not a readable image: {error}') from error
-    # Only in trinary mode does map_server average opacity together with the colours.
-    channels = 4 if has_alpha and mode == 'trinary' else 3
-    return None, pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0

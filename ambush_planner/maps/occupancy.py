@@ -27,7 +27,7 @@ class OccupancyMap:
     """Values (H, W) with row 0 the lowest, cell size [m] and origin (x, y, yaw) [m, m, rad].
 
     ``crs`` is the coordinate system of world positions, None if unknown; ``losses`` are those of
-    the values 0 and 100. ``heights`` (H, W) are those of the terrain [m], for a GIS.
+    the values 0 and 100.
     """
 
     values: npt.NDArray[np.int8]
@@ -35,7 +35,6 @@ class OccupancyMap:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     crs: str | None = None
     losses: tuple[float, float] = LOSSES
-    heights: npt.NDArray[np.float32] | None = None
 
     def risk_map(self, options: OccupancyOptions | None = None) -> RiskMap:
         """Convert the values to losses; raises InvalidRiskMap, also if ``crs`` is another one.

@@ -20,9 +20,9 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..errors import AmbushPlannerError
 from ..option_checks import check_at_least
-from .coordinates import Coordinates
+from .coordinates import Coordinates, is_robot_frame
 from .elevation import MAX_CELLS
-from .incidents import count_near, cross_validated_bandwidth, kernel_density, weighted_incidents
+from .incidents import kernel_density, weighted_incidents
 from .map_file import read_yaml
 from .occupancy import OccupancyOptions
 from .risk_map import MIN_LOSS, RiskMap
@@ -45,16 +45,13 @@ _KINDS: Mapping[str, Mapping[str, Any]] = {
     'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
     'polygons': {**_SHAPES, 'buffer': 0.0},
     'roads': {**_SHAPES, 'width': 0.0, 'road_column': '', 'all_lines_are_roads': False},
-    'incidents': {'loss': 9.0, 'bandwidth': 'auto', 'half_life': math.inf, 'until': None,
-                  'date': 'date', 'weight': 1.0},
+    'incidents': {'loss': 9.0, 'bandwidth': None, 'half_life': math.inf, 'date': 'date',
+                  'weight': 1.0},
 }
 _GEOMETRIES = {'polygons': ('Polygon', 'LineString', 'Point'), 'roads': ('LineString',),
                'incidents': ('Point',)}
-# Incidents count as near a cell up to this distance [bandwidths].
-NEAR = 2.0
-# With fewer incidents of full weight in all, or near most of the cells that they make costly, a
-# density is mostly chance.
-FEW, FEW_NEAR = 20.0, 5
+# With fewer incidents of full weight, a density is mostly chance.
+FEW = 20.0
 # Positions (x, y) [m] in the world, and names.
 Names = tuple[tuple[float, float, str], ...]
 
@@ -65,17 +62,15 @@ class InvalidLayers(AmbushPlannerError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """The contribution of a line, for pictures.
+    """A vector layer, for pictures.
 
-    ``values`` (H, W) are losses, changes of them, or numbers of incidents; booleans say which cells
-    a layer covers that changes no losses. ``kind`` is that of the line, ``shapes`` are those of a
-    vector layer (the borders of polygons), and ``names`` those there.
+    ``kind`` is that of the line, ``shapes`` (the borders of polygons) and ``names`` those in the
+    ``file``.
     """
 
     kind: str
-    title: str
-    values: FloatArray | BoolArray
-    shapes: GeoPandasBase | None = None
+    file: str
+    shapes: GeoPandasBase
     names: Names = ()
 
 
@@ -184,8 +179,6 @@ def _with_defaults(where: str, given: Mapping[str, Any],
 
 def _terrain(path: Path, crs: str | None, values: Mapping[str, Any], resolution: float,
              progress: Callable[[float], None] | None) -> _Joined:
-    if crs and crs.startswith('datum'):
-        raise InvalidLayers(f'crs: {crs}: a terrain is in a coordinate system; name that')
     given = {key: each for key, each in values.items() if each is not None}
     view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
     options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
@@ -193,10 +186,8 @@ def _terrain(path: Path, crs: str | None, values: Mapping[str, Any], resolution:
                            progress=progress)
     ground = made.risk_map(
         OccupancyOptions(alpha_min=0.0, alpha_max=_number('loss', values['loss'])))
-    shown = np.where(ground.obstacles, np.nan, ground.alpha)
     # Cells that a road opens have the loss of the nearest free cell.
-    return _Joined(ground, ground.nearest_free_alpha(),
-                   [Layer('terrain', f'{path.name}: loss', shown)])
+    return _Joined(ground, ground.nearest_free_alpha())
 
 
 def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:
@@ -210,8 +201,8 @@ def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:
         raise InvalidLayers(f'bounds {bounds} have {columns} x {rows} cells of {resolution:g} m; '
                             f'at least 1 and at most {MAX_CELLS} are possible')
     crs = str(top['crs']) if top['crs'] else None
-    if crs and (system := Coordinates(crs)).origin == (0.0, 0.0, 0.0):
-        crs = system.crs.to_string()
+    if crs and not is_robot_frame(crs):
+        crs = Coordinates(crs).crs.to_string()
     cells = np.zeros((rows, columns))
     ground = RiskMap(cells, cells.astype(bool), resolution, (west, south, 0.0), crs)
     return _Joined(ground, cells + base)
@@ -270,40 +261,25 @@ class _Joined:
             chosen = features[attribute_values(features, key, values[key]) > 0.0]
             if len(chosen):
                 masks.append(self._cover(chosen, roads or key == 'forbidden'))
-        changes, others = ([key for key in keys if values[key] != _SHAPES[key]]
-                           for keys in (('loss', 'factor'), self.masks))
-        effects = [f'change by {" and ".join(changes)}'] * bool(changes) + others
-        shade = self.loss - before if changes else self._cover(features, roads)
-        self.layers.append(Layer('roads' if roads else 'polygons',
-                                 f'{name}: {", ".join(effects)}', shade, shown))
+        self.layers.append(Layer('roads' if roads else 'polygons', name, shown))
 
     def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
         """Apply incidents, with a remark if there are few."""
         places, weights, span = weighted_incidents(features, values)
         self.remarks += [f'{name}: {span}'] * bool(span)
-        bandwidth = values['bandwidth']
-        if bandwidth == 'auto':
-            bandwidth, largest = cross_validated_bandwidth(self.ground, places, weights)
-            self.remarks.append(f'{name}: bandwidth {bandwidth:.4g} m by cross-validation'
-                                + ', the largest compared: they show no pattern' * largest)
-        bandwidth = _number('bandwidth', bandwidth, self.ground.resolution)
+        if values['bandwidth'] in (None, 'auto'):
+            raise InvalidFeatures('how far does an incident count? Give the bandwidth in metres')
+        bandwidth = _number('bandwidth', values['bandwidth'], self.ground.resolution)
         density = kernel_density(self.ground, places, weights, bandwidth)
         if not density.max() > 0.0:
             raise InvalidFeatures('no incident has a weight above 0')
-        near = NEAR * bandwidth
-        count = count_near(self.ground, places, near)
         full = float(weights.sum() / weights.max())
-        thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
-        if full < FEW or thin > 0.5:
+        if full < FEW:
             self.remarks.append(
-                f'{name}: {len(places)} incidents, weighted by age worth {full:.3g} recent ones '
-                f'(at least {FEW:g} are needed); {100.0 * thin:.0f} % of the ground that they make '
-                f'costly has fewer than {FEW_NEAR} within {near:.0f} m. Their pattern may be '
-                'chance')
-        added = _number('loss', values['loss']) * density / density.max()
-        self.loss = self.loss + added
-        self.layers += [Layer('incidents', f'{name}: loss', added, features.geometry),
-                        Layer('incidents', f'{name}: number within {near:.0f} m', count)]
+                f'{name}: {len(places)} incidents, weighted by age worth {full:.3g} recent ones; '
+                f'with fewer than {FEW:g}, their pattern may be chance')
+        self.loss = self.loss + _number('loss', values['loss']) * density / density.max()
+        self.layers.append(Layer('incidents', name, features.geometry))
 
     def _sum(self, features: GeoDataFrame, values: FloatArray) -> FloatArray:
         """The sum (H, W) of the values (K,) of those shapes that contain a cell's centre."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import arrays_in
-from ..errors import InvalidCoordinates, InvalidOption, InvalidRiskMap, warn
+from ..errors import InvalidOption, InvalidRiskMap, warn
 from .coordinates import Coordinates
-from .elevation_file import HEIGHTS, read_raster
+from .elevation_file import read_raster
 from .map_file import read_map
 from .occupancy import NO_RISK, OBSTACLE, UNKNOWN, OccupancyMap, OccupancyOptions, agreed_crs
-from .risk_map import GradedLosses, RiskMap, to_map_axes
+from .risk_map import GradedLosses, RiskMap
 
 _UNKNOWN = 255  # in a GeoTIFF
 # Graded losses in an npz file, instead of ``alpha``.
@@ -123,56 +123,30 @@ def npz_bytes(risk_map: RiskMap) -> bytes:
     return stream.getvalue()
 
 
-def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
-    """Return the same map with its origin in another frame, such as ``datum LAT LON YAW``.
-
-    Raises InvalidCoordinates if the map's coordinate system is unknown, or not the UTM zone that
-    the frame is based on.
-    """
-    old, new = Coordinates(grid.crs or ''), Coordinates(crs)
-    if old.crs != new.crs:
-        raise InvalidCoordinates(f'the map is in {old.crs.to_string()}, but the frame {crs!r} is '
-                                 f'based on {new.crs.to_string()}; reproject the map to it')
-    x, y = to_map_axes(new.origin, old.to_crs(grid.origin[:2])).tolist()
-    yaw = grid.origin[2] + old.origin[2] - new.origin[2]
-    return replace(grid, origin=(x, y, yaw), crs=crs)
-
-
 def write_geotiff(path: Path, grid: OccupancyMap) -> None:
     """Write the values of a map as a GeoTIFF (nodata: unknown) in its coordinate system.
 
-    Heights are a second band; the losses of the values 0 and 100 are tags.
+    The losses of the values 0 and 100 are tags.
 
     Raises InvalidCoordinates if the map has no such system.
     """
     import rasterio
 
     system = Coordinates(grid.crs or '')
-    heights, (rows, columns) = grid.heights, grid.values.shape
-    kind, unknown = (np.uint8, _UNKNOWN) if heights is None else (np.float32, np.nan)
-    values = np.where(grid.values < 0, unknown, grid.values).astype(kind)[::-1]
-    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=kind,
-                       count=1 if heights is None else 2, crs=system.crs.to_wkt(),
-                       transform=cell_transform(grid), nodata=unknown, compress='deflate') as file:
+    rows, columns = grid.values.shape
+    values = np.where(grid.values < 0, _UNKNOWN, grid.values).astype(np.uint8)[::-1]
+    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, dtype=np.uint8,
+                       count=1, crs=system.crs.to_wkt(), transform=cell_transform(grid),
+                       nodata=_UNKNOWN, compress='deflate') as file:
         file.write(values, 1)
         file.update_tags(alpha_min=grid.losses[0], alpha_max=grid.losses[1])
-        if heights is not None:
-            file.write(heights[::-1], 2)
-            file.set_band_description(2, HEIGHTS)
 
 
 def cell_transform(grid: OccupancyMap | RiskMap) -> Any:
-    """Return the affine transform of rasterio from (column, row from the top) to positions.
-
-    These are in the grid's coordinate system, or world positions if it is unknown.
-    """
+    """Return the affine transform of rasterio from (column, row from the top) to positions."""
     from rasterio import Affine
 
-    system = Coordinates(grid.crs) if grid.crs else None
     left, bottom, turn = grid.origin
-    if system:
-        left, bottom = system.to_crs((left, bottom)).tolist()
-        turn += system.origin[2]
     rows = len(grid.values if isinstance(grid, OccupancyMap) else grid.alpha)
     c, s = grid.resolution * math.cos(turn), grid.resolution * math.sin(turn)
     return Affine(c, s, left - s * rows, s, -c, bottom + c * rows)

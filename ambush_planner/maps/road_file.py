@@ -189,10 +189,10 @@ def roads_from_lines(path: str, lines: GeoDataFrame, node_crossings: bool,
     if lines.crs is None:
         warn(f'{path}: its coordinate system is unknown; its coordinates are taken as those of the '
              'map')
-    segments = segments_of(lines, np.array([road.levels for road in tags]))
+    level = np.array([road.level for road in tags])
+    segments = segments_of(lines, level)
     if segments.split:
         warn(f'{path}: {apart.format(segments.split)}')
-    level = np.array([road.level for road in tags])
     joined, count = cut_at_meetings(segments, level)
     if node_crossings:
         segments = joined

@@ -42,11 +42,11 @@ class Segments:
     split: int
 
 
-def segments_of(lines: GeoDataFrame, levels: FloatArray | None = None) -> Segments:
+def segments_of(lines: GeoDataFrame, level: IndexArray | None = None) -> Segments:
     """Split lines (L,) at their vertices; equal vertices are one place.
 
-    Vertices over ``CLEARANCE`` apart in height are not. If the lines have no heights, they are
-    those of ``levels`` (L, 3): of the first, the inner and the last vertices, NaN if unknown.
+    Vertices over ``CLEARANCE`` apart in height are not. If the lines have no heights, their inner
+    vertices have that of the ``level`` (L,).
     """
     import shapely
 
@@ -59,9 +59,8 @@ def segments_of(lines: GeoDataFrame, levels: FloatArray | None = None) -> Segmen
         scale *= lines.crs.axis_info[0].unit_conversion_factor
     xy *= scale
     first = np.diff(line, prepend=-1) != 0
-    if levels is not None and not np.isfinite(height).any():
-        last = np.append(first[1:], True)
-        height = STOREY * levels[line, np.select([first, last], [0, 2], 1)]
+    if level is not None and not np.isfinite(height).any():
+        height = np.where(first | np.append(first[1:], True), np.nan, STOREY * level[line])
     _, spot = np.unique(xy.round(DIGITS), axis=0, return_inverse=True)
     spot = spot.ravel()
     order = np.lexsort((height, spot))

@@ -15,14 +15,11 @@ _HIGHWAYS = frozenset((*_CLASSES, *(f'{each}_link' for each in _CLASSES), *_SMAL
 # The columns of each kind of data, with the values of each that roads have.
 OPENSTREETMAP = {'highway': _HIGHWAYS}
 GEOFABRIK = {'fclass': _HIGHWAYS | {f'track_grade{k}' for k in range(1, 6)}}
-OVERTURE = {'subtype': frozenset({'road'}), 'class': _HIGHWAYS}
 # Primary, secondary, local, four-wheel drive; ramp, service drive, alley, car park.
 TIGER = {'mtfcc': frozenset('s1100 s1200 s1400 s1500 s1630 s1640 s1730 s1780'.split())}
 NATURAL_EARTH = {'featurecla': frozenset({'road'}), 'type': frozenset({
     'major highway', 'secondary highway', 'beltway', 'bypass', 'road', 'track', 'unknown'})}
-SCHEMAS = (OPENSTREETMAP, GEOFABRIK, OVERTURE, TIGER, NATURAL_EARTH)
-# Values of ``type`` in maps of lanelet2, whose lines are borders of lanes.
-LANE_BORDERS = frozenset({'line_thin', 'line_thick', 'curbstone', 'road_border', 'virtual'})
+SCHEMAS = (OPENSTREETMAP, GEOFABRIK, TIGER, NATURAL_EARTH)
 
 # Ways of OpenStreetMap that are no roads unless they have a kind of road, too.
 OTHER_WAYS = ('waterway', 'railway', 'power', 'aerialway', 'aeroway', 'barrier', 'man_made',
@@ -38,21 +35,19 @@ DIRECTIONS = ('oneway:motorcar', 'oneway:motor_vehicle', 'oneway:vehicle', 'onew
 # Values of ``oneway`` in OpenStreetMap, osmnx, Geofabrik's extracts (F, T, B) and others (FT, TF).
 ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, 'ft': 1, '-1': -1, 'reverse': -1, 't': -1,
            'tf': -1, 'no': 0, 'false': 0, '0': 0, 'b': 0}
-# Of Overture: rules with modes, in JSON, and the modes that we have.
-RESTRICTIONS, MODES = 'access_restrictions', frozenset({'vehicle', 'motor_vehicle', 'car', 'truck'})
+# The column of Overture with rules of access for some vehicles, which are not read.
+RULES = 'access_restrictions'
 # Units of speed [m/s], by the attribute's name or at the end of a value.
 SPEEDS = {'speed_kph': 1 / 3.6, 'speed_kmh': 1 / 3.6, 'speed_mph': 0.44704, 'speed_mps': 1.0}
 UNITS = {'km/h': 1 / 3.6, 'kmh': 1 / 3.6, 'kph': 1 / 3.6, 'mph': 0.44704, 'm/s': 1.0}
-# Levels of the first and the last vertex in navigation data.
-FIRST_LEVEL, LAST_LEVEL = ('f_zlev', 'f_elev', 'from_zlev'), ('t_zlev', 't_elev', 'to_zlev')
-LEVELS = ('bridge', 'tunnel', 'layer', *FIRST_LEVEL, *LAST_LEVEL)
+LEVELS = ('bridge', 'tunnel', 'layer')
 NAMES = ('ref', 'name')
 # Limits of OpenStreetMap that are counted, and not read.
 LIMITS = (*(f'{key}:conditional' for key in (*ACCESS, 'oneway')), 'maxweight', 'maxheight',
           'maxwidth', 'ford')
 KEYS = tuple(dict.fromkeys((
     *(key for each in SCHEMAS for key in each), *OTHER_WAYS, *UNFINISHED, *UNUSABLE, *ACCESS,
-    *DIRECTIONS, RESTRICTIONS, *SPEEDS, *LEVELS, *LIMITS, 'junction')))
+    *DIRECTIONS, RULES, *SPEEDS, *LEVELS, *LIMITS, 'junction')))
 
 # Plain names, and values, of columns that may say a direction or a speed.
 DIRECTION_NAMES = re.compile(

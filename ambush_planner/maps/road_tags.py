@@ -41,14 +41,12 @@ class Road(NamedTuple):
     """The meaning of a line's tags.
 
     ``problem``: why it is no road for vehicles; ``way``: 1 along the line only, -1 against it, 0
-    both; ``level``: roads cross only on the same one; ``levels``: those of the first, the inner and
-    the last vertices, NaN if unknown; ``speed`` [m/s], NaN if it has none.
+    both; ``level``: roads cross only on the same one; ``speed`` [m/s], NaN if it has none.
     """
 
     problem: str
     way: int = 0
     level: int = 0
-    levels: tuple[float, float, float] = (math.nan, math.nan, math.nan)
     speed: float = math.nan
 
 
@@ -67,14 +65,16 @@ def select_roads(path: str, lines: GeoDataFrame, road_column: str = '',
         texts = _texts(lines, path.lower().endswith('.shp'))
         columns = {key: name for key in schemas.KEYS if (name := _column(texts, key))}
         schema = _schema(texts, columns, road_column, all_lines_are_roads)
-        others = texts.drop(columns=[name for key, name in columns.items()
-                                     if key != schemas.RESTRICTIONS])
+        if schemas.RULES in columns:
+            raise InvalidFeatures('subtype, class and access_restrictions are columns of Overture, '
+                                  'whose rules of access are not read; take the same roads from '
+                                  'OpenStreetMap')
+        others = texts.drop(columns=[*columns.values()])
         problems = [] if schema is not None else [
             f'{len(lines)} lines, and no column says which are roads: '
             f'{_kinds(texts)}; use --road-column COLUMN=VALUE,... or --all-lines-are-roads '
             '(road_column, all_lines_are_roads)']
-        directed = (two_way or schema is schemas.OVERTURE
-                    or not columns.keys().isdisjoint(schemas.DIRECTIONS))
+        directed = two_way or not columns.keys().isdisjoint(schemas.DIRECTIONS)
         names = [name for name in others if _says_directions(others, name, schema)]
         if names and not directed:
             problems.append(
@@ -172,10 +172,6 @@ def _schema(texts: DataFrame, columns: Mapping[str, str], road_column: str,
     if found and all_lines_are_roads:
         raise InvalidFeatures(f'{", ".join(found)} says which lines are roads; leave out '
                               '--all-lines-are-roads (all_lines_are_roads)')
-    if not found and 'type' in columns and not schemas.LANE_BORDERS.isdisjoint(
-            texts[columns['type']]):
-        raise InvalidFeatures('its lines are borders of lanes (lanelet2), not roads; use roads of '
-                              'OpenStreetMap, or draw centre lines')
     return found or ({} if all_lines_are_roads or texts.empty else None)
 
 
@@ -255,41 +251,14 @@ def _judge(tags: Mapping[str, str], schema: _Schema) -> Road:
     implied = (tags['highway'] in ('motorway', 'motorway_link')
                or tags['junction'] in ('roundabout', 'circular'))
     way = schemas.ONE_WAY[given] if given else int(implied)
-    if schema is schemas.OVERTURE and tags[schemas.RESTRICTIONS]:
-        ways = _allowed_ways(tags[schemas.RESTRICTIONS])
-        if not ways:
-            return Road('access_restrictions')
-        way = sum(ways)
     level = int(tags['layer']) if _WHOLE.fullmatch(tags['layer']) else 0
     level = level or (tags['bridge'] not in _NOT) - (tags['tunnel'] not in _NOT)
-    first, last = (next((float(tags[key]) for key in keys if _WHOLE.fullmatch(tags[key])), math.nan)
-                   for keys in (schemas.FIRST_LEVEL, schemas.LAST_LEVEL))
-    inner = level if math.isnan(first + last) else first if first == last else math.nan
-    return Road('', way, level, (first, inner, last), _speed(tags))
+    return Road('', way, level, _speed(tags))
 
 
 def _parts(text: str) -> list[str]:
     """The values of a list, such as those of osmnx where it has merged ways."""
     return [each.strip(' \'"') for each in re.split(r'[;|,]', text.strip('[]'))]
-
-
-def _allowed_ways(text: str) -> set[int]:
-    """The directions, 1 and -1, in which rules of Overture allow motor vehicles."""
-    try:
-        rules = [(rule['access_type'], rule.get('when') or {}) for rule in json.loads(text)]
-    except (ValueError, TypeError, KeyError) as error:
-        raise InvalidFeatures(f'{schemas.RESTRICTIONS} must be a list of rules in JSON, got '
-                              f'{text[:60]!r}') from error
-    ways = {1, -1}
-    for kind, when in rules:
-        modes = when.get('mode') or schemas.MODES
-        if not schemas.MODES.isdisjoint(modes) and not when.get('vehicle'):
-            of = {'forward': {1}, 'backward': {-1}}.get(str(when.get('heading')), {1, -1})
-            if kind == 'denied':
-                ways -= of
-            elif when.keys() <= {'mode', 'heading'}:
-                ways |= of
-    return ways
 
 
 def _speed(tags: Mapping[str, str]) -> float:

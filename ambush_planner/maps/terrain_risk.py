@@ -94,8 +94,7 @@ def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
     blocked &= ~unknown
     values = frozen_array(np.where(blocked, OBSTACLE, values), np.int8)
     origin = (*(elevation.corner or (0.0, 0.0)), 0.0)
-    return OccupancyMap(values, elevation.resolution, origin, elevation.crs,
-                        heights=elevation.heights)
+    return OccupancyMap(values, elevation.resolution, origin, elevation.crs)
 
 
 def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
@@ -106,7 +105,7 @@ def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
     Parameters
     ----------
     file
-        A GeoTIFF (extra ``gis``) or an npz file.
+        A GeoTIFF or another raster that GDAL reads (extra ``gis``).
     resolution
         Cell size [m]; None: the elevation model's.
     weapon_range

@@ -61,10 +61,10 @@ def read_tracks(source: str, risk_map: RiskMap) -> list[Track]:
       apart (``track``, ``vehicle``, ``device_id``, ``imei``, ``trip``, ...) and ``time``.
     * Other files: each line of a vector file, as ``read_features`` takes it.
 
-    Times are ISO 8601. Positions without a fix are left out, times that say nothing (missing, all
-    equal, or from before 1990) are ignored, and a GPX file that ends early is read up to there;
-    warnings say so. Raises InvalidFeatures if the file is unreadable, has no track, or has columns
-    or coordinates that are not known for certain; OSError.
+    Times are ISO 8601. Positions without a fix are left out, and times that say nothing (missing,
+    all equal, or from before 1990) are ignored; warnings say so. Raises InvalidFeatures if the file
+    is unreadable, has no track, or has columns or coordinates that are not known for certain;
+    OSError.
     """
     path, _ = file_and_layer(source)
     read = _of_rows if path.suffix.lower() in ('.gpx', '.csv') else _of_lines
@@ -138,28 +138,19 @@ def _refuse_unknown(others: Any, xy: FloatArray, labels: bool, timed: bool) -> N
 
 
 def _gpx(path: Path) -> GeoDataFrame:
-    """The positions of the tracks of a GPX file, or of its routes, up to where it ends."""
+    """The positions of the tracks of a GPX file, or of its routes."""
     from pandas import DataFrame, to_numeric
 
-    parser: Any = ElementTree.XMLPullParser(('start', 'end'))
-    found: dict[str, list[Any]] = {'trk': [], 'rte': []}
-    number, damage = 0, ''
-    parser.feed(path.read_bytes())
     try:
-        for event, element in parser.read_events():
-            kind = element.tag.rpartition('}')[2]
-            number += event == 'start' and kind in found
-            if event == 'end' and kind in ('trkpt', 'rtept'):
-                found[kind[:3]].append((element.get('lat'), element.get('lon'),
-                                        element.findtext('{*}time'), number))
-        parser.close()
+        root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
-        damage = f'{path}: damaged, or ends early, at line {error.position[0]}'
-    rows = DataFrame(found['trk'] or found['rte'], columns=['lat', 'lon', 'time', 'track'])
-    if damage and rows.empty:
-        raise InvalidFeatures(damage)
-    if damage:
-        warn(f'{damage}; it is read up to there, {len(rows)} positions')
+        raise InvalidFeatures(f'damaged, or ends early, at line {error.position[0]}; save what is '
+                              f'whole with gpsbabel -i gpx -f {path.name} -o gpx -F '
+                              f'{path.stem}_whole.gpx') from error
+    tracks = root.findall('{*}trk') or root.findall('{*}rte')
+    rows = DataFrame([(point.get('lat'), point.get('lon'), point.findtext('{*}time'), number)
+                      for number, track in enumerate(tracks, start=1) for point in track.iter()
+                      if point.tag.endswith('pt')], columns=['lat', 'lon', 'time', 'track'])
     rows = rows if rows['time'].notna().any() else rows.drop(columns='time')
     degrees = [to_numeric(rows[name], errors='coerce') for name in ('lon', 'lat')]
     return with_positions(rows.drop(columns=['lat', 'lon']), np.stack(degrees, axis=1),

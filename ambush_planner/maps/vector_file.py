@@ -37,13 +37,12 @@ if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
 # GDAL's drivers of vector files.
-_DRIVERS = ('ESRI Shapefile', 'DXF', 'FlatGeobuf', 'GML', 'GPKG', 'GPX', 'GeoJSON', 'GeoJSONSeq',
+_DRIVERS = ('ESRI Shapefile', 'FlatGeobuf', 'GML', 'GPKG', 'GPX', 'GeoJSON', 'GeoJSONSeq',
             'KML', 'LIBKML', 'MapInfo File', 'OSM', 'OpenFileGDB', 'SQLite', 'TopoJSON')
 _CONVERT = 'convert it to GeoPackage or GeoJSON'
 # Layers of OSM and GPX files that are meant if none is named.
 _USUAL = ('lines', 'points', 'multipolygons', 'waypoints', 'tracks')
-# Codes of a drawing's unit that are not the metre, and a remark of Overpass on what it left out.
-_UNIT = re.compile(rb'\$INSUNITS\s+70\s+(?!0\s|6\s)(\d+)')
+# A remark of Overpass on what it left out.
 _REMARK = re.compile(rb'<remark>\s*(runtime error.*?)\s*</remark>', re.DOTALL)
 # Objects that an editor of OpenStreetMap has deleted, but not yet uploaded.
 _DELETED = re.compile(rb"""\s(action\s*=\s*['"]delete|visible\s*=\s*['"]false)['"]""")
@@ -143,9 +142,6 @@ def _read(path: Path, layer: str, kinds: Sequence[str]) -> GeoDataFrame:
         if len(fit) > 1:
             raise InvalidFeatures(f'which layer? Write {path.name}|layername=NAME, with NAME one '
                                   f'of {", ".join(fit)}')
-        if driver == 'DXF' and (unit := _UNIT.search(path.read_bytes())):
-            raise InvalidFeatures(f'the unit of the drawing ($INSUNITS {int(unit[1])}) is not the '
-                                  'metre; scale it, and set the unit to metres')
         frame = pyogrio.read_dataframe(path, layer=fit[0])
     return _without_deleted(path, fit[0], frame) if driver == 'OSM' else frame
 
@@ -271,7 +267,7 @@ def _in_frame_of(risk_map: RiskMap, features: GeoDataFrame, own: Any) -> GeoData
         edge = shapely.get_coordinates(shapely.segmentize(
             shapely.box(*np.ravel(risk_map.bounds)), min(risk_map.size)))
         around = np.transpose(converter(system.crs, horizontal(own)).transform(
-            *system.to_crs(edge).T))
+            *edge.T))
         near = *(around.min(axis=0) - 100.0 * step), *(around.max(axis=0) + 100.0 * step)
         shapes = features.geometry.where(features.geom_type == 'Point',
                                          features.clip_by_rect(*near))

@@ -24,7 +24,6 @@ from scipy.sparse import csr_matrix
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption, TimeLimit
 from ..game.route_sampler import route_edges
-from ..game.strategy import TripStrategy
 from ..planning.few import FewRoutes
 from ..planning.plan import Plan, corridors_of, path_lengths
 from ..routes.driven_path import driven_paths
@@ -98,20 +97,13 @@ def few_routes(plan: Plan, most: int, rng: np.random.Generator | None = None,
     chosen = chosen[all_shares[chosen] > 0.0]
     few, own = tuple(paths[k] for k in chosen), frozen_array(leg[chosen], np.int64)
     shares, spent = (frozen_array(each[chosen], np.float64) for each in (all_shares, costs))
-    trip = mixed(plan, few, own, shares, search.bounds, spent)
+    timed = plan.network.seconds is not None
+    trip = PathMixtures(plan.own_map, plan, few, own).strategy(shares, search.bounds,
+                                                               spent if timed else None)
     enough = int(np.bincount(own).max())
     curve = {min(size, enough): each.value for size, each in found.items()}
     curve[enough] = trip.value
-    return FewRoutes(few, own, shares, trip, len(paths), spent, tuple(curve.items()),
-                     tuple(frozen_array(routes[k], np.int64) for k in chosen))
-
-
-def mixed(plan: Plan, paths: Sequence[FloatArray], leg: IndexArray, shares: FloatArray,
-          bounds: FloatArray, costs: FloatArray) -> TripStrategy:
-    """The strategies of a plan's few paths (K,), as FewRoutes has them; bounds are by leg."""
-    timed = plan.network.seconds is not None
-    return PathMixtures(plan.own_map, plan, paths, leg).strategy(shares, bounds,
-                                                                 costs if timed else None)
+    return FewRoutes(few, own, shares, trip, len(paths), spent, tuple(curve.items()))
 
 
 def _limits(plan: Plan) -> FloatArray:

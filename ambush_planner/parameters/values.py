@@ -14,10 +14,9 @@ from typing import Any
 
 from ..errors import InvalidCoordinates, InvalidOption
 from ..game.game import GameOptions
-from ..game.strategy import SOLVERS, StrategyOptions
+from ..game.strategy import StrategyOptions
 from ..maps.coordinates import Coordinates
 from ..maps.occupancy import OccupancyOptions
-from ..maps.risk_map import MAX_LOSS
 from ..maps.road_file import ROAD_OPTIONS, RoadGraph, read_roads
 from ..maps.vector_file import file_and_layer
 from ..network.construction import NetworkOptions
@@ -124,22 +123,9 @@ def roads_named(values: Mapping[str, Any]) -> RoadGraph | None:
         raise InvalidOption(f'network.{error}') from error
 
 
-def check_possible(changes: Mapping[str, Any], roads: RoadGraph | None) -> None:
-    """Raise InvalidOption if changes contradict all values that other parameters may have."""
-    others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MAX_LOSS, 'game.ambush_radius': 1.0}
-    for solver in reversed(SOLVERS):  # the reason given is that of the first solver
-        try:
-            parameters_from({**others, 'strategy.solver': solver, **changes}, roads)
-            return
-        except InvalidOption as error:
-            refused = error
-    raise refused
-
-
 def check_crs(values: Mapping[str, Any]) -> None:
     """Raise InvalidOption if ``map.crs`` is unknown to pyproj, if that is installed."""
-    if (crs := values.get('map.crs')) and find_spec('pyproj'):
+    if (crs := values['map.crs']) and find_spec('pyproj'):
         try:
             Coordinates(crs)
         except InvalidCoordinates as error:

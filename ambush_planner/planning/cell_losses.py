@@ -79,25 +79,6 @@ class CellLosses:
         """The blocks (K, 2) in which an ambush may cause a loss."""
         return np.argwhere(self._of_blocks(side) > 0)
 
-    def dearest_cells(self, block: int) -> tuple[IndexArray, FloatArray]:
-        """Row and column (H, W, 2) of the dearest cell of each block, and its loss (H, W).
-
-        Of equally dear cells it is the one nearest to the block's centre; the loss is negative
-        where nobody can wait.
-        """
-        loss = self._largest[1]
-        padded = np.pad(loss, [(0, -size % block) for size in loss.shape],
-                        constant_values=0 if len(self._levels) else NOBODY)
-        rows, columns = (size // block for size in padded.shape)
-        blocks = padded.reshape(rows, block, columns, block)
-        inside = np.argwhere(np.ones((block, block), bool))
-        central = np.argsort(np.hypot(*(inside - (block - 1) / 2.0).T), kind='stable')
-        row, column = inside[central].T
-        found = np.stack([each[row, :, column].argmax(axis=0) for each in blocks])
-        corner = np.moveaxis(np.indices((rows, columns)), 0, 2) * block
-        cells = corner + inside[central[found]]
-        return cells, self._losses(padded[cells[..., 0], cells[..., 1]])
-
     def change(self, cells: IndexArray, alpha: FloatArray) -> None:
         """Set the losses (K,) of cells (K, 2) = (row, column); below 0 where nobody can wait."""
         graded = len(self._levels) > 0

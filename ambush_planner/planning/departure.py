@@ -40,9 +40,6 @@ def draw_route(plan: Plan, source: Sequence[int], spacing: float = 0.0, ends: En
     map; None if hardly any is.
     """
     rng = np.random.default_rng(source)
-    if plan.few is not None:
-        (numbers,) = plan.few.draw(1, rng)
-        return DrawnRoute(tuple(plan.few.routes[k] for k in numbers), plan.few.path(numbers), rng)
     if ground is None or newest is None:
         route: Route | None = tuple(leg.sample_route(rng) for leg in plan.legs)
     else:

@@ -35,8 +35,6 @@ class FewRoutes:
         Lengths [m], or driving times [s] if the network has them.
     curve : ((K, value), ...)
         The value of the best mixture found with at most K routes a leg.
-    routes : K arrays
-        The nodes of each route in the plan's network of its leg.
     """
 
     paths: tuple[FloatArray, ...]
@@ -46,7 +44,6 @@ class FewRoutes:
     candidates: int
     costs: FloatArray
     curve: tuple[tuple[int, float], ...]
-    routes: tuple[IndexArray, ...]
 
     @property
     def value(self) -> float:
@@ -64,16 +61,6 @@ class FewRoutes:
         network, q = self.trip.game.network, self.trip.ambusher.q
         return np.asarray(network.points[q.argmax()])
 
-    def nodes(self, numbers: IndexArray) -> tuple[IndexArray, ...]:
-        """The nodes of the routes with ``numbers`` (legs,) in the networks of ``trip``."""
-        found = []
-        for k, leg in zip(numbers, self.trip.legs, strict=True):
-            network, before = leg.network, np.count_nonzero(self.leg < self.leg[k])
-            first = np.flatnonzero(network.tails == network.source)
-            heads = np.split(network.heads, first[1:])[k - before]
-            found.append(np.append(network.source, heads))
-        return tuple(found)
-
     def draw(self, n: int, rng: np.random.Generator) -> IndexArray:
         """Draw ``n`` departures, (n, legs): the number of a route for each leg."""
         own = [np.flatnonzero(self.leg == k) for k in range(len(self.trip.legs))]
@@ -82,11 +69,3 @@ class FewRoutes:
     def path(self, numbers: IndexArray) -> FloatArray:
         """The path of a departure with some ``numbers`` (legs,) of routes."""
         return joined([self.paths[k] for k in numbers])
-
-    def numbers(self, route: tuple[IndexArray, ...]) -> IndexArray:
-        """The numbers (legs,) of a departure's routes; ValueError if one is none of the few."""
-        found = [k for leg, nodes in enumerate(route) for k in np.flatnonzero(self.leg == leg)
-                 if np.array_equal(self.routes[k], nodes)]
-        if len(found) != len(self.trip.legs):
-            raise ValueError('the route is none of the few routes')
-        return np.array(found)

@@ -61,6 +61,8 @@ class PlanRequest:
         Stops [m] in the order in which they are visited.
     warm
         A similar strategy to start the search from.
+    first
+        Options of a plan that is wanted sooner, from which that of ``options`` then starts.
     """
 
     grid: OccupancyMap
@@ -71,6 +73,7 @@ class PlanRequest:
     options: PlanningOptions
     stops_xy: tuple[tuple[float, float], ...] = ()
     warm: WarmStart | None = None
+    first: PlanningOptions | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -209,25 +212,6 @@ class Plan(Shown):
         InvalidCoordinates if a format needs a coordinate system and the map has none.
         """
         return plan_methods.save(self, files, n, rng)
-
-    def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
-        """Draw ``n`` routes and return their paths as a GeoDataFrame, as files have them.
-
-        ``rng`` as in ``paths``.
-        """
-        return plan_methods.routes(self, n, rng)
-
-    def edges(self) -> Any:
-        """The edges that the convoy uses, with their ``probability``: a GeoDataFrame of lines."""
-        return plan_methods.tables(self)['edges']
-
-    def sites(self) -> Any:
-        """Return the best ambusher's sites: a GeoDataFrame with ``probability`` and ``loss``.
-
-        Empty if no ambush causes a loss.
-        """
-        tables = plan_methods.tables(self)
-        return tables.get('sites', tables['places'].iloc[:0])
 
     def frontier(self, detours: Sequence[float] | None = None,
                  slacks: Sequence[float] | None = None) -> tuple[Any, ...]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Routes, strategy and ground as tables of geometries (GeoDataFrames), for GIS programs.
 
-Positions are world positions, in the map's coordinate system if it has one; those of a robot's
-frame are converted to the UTM zone of its datum. Needs geopandas, shapely and rasterio.
+Positions are world positions, in the map's coordinate system if it has one. Needs geopandas,
+shapely and rasterio.
 """
 
 from __future__ import annotations
@@ -30,19 +30,13 @@ def route_columns(paths: Sequence[FloatArray], times: Sequence[datetime]) -> dic
             'time': [time.isoformat(timespec='seconds') for time in times]}
 
 
-def lines_in_system(paths: Sequence[FloatArray], crs: str | None) -> list[FloatArray]:
-    """Positions (L, 2) of paths (L, 2 or 3) in their coordinate system, if they have one."""
-    system = Coordinates(crs) if crs else None
-    return [system.to_crs(path[:, :2]) if system else path[:, :2] for path in paths]
-
-
 def line_table(columns: Mapping[str, Any], paths: Sequence[FloatArray], crs: str | None) -> Any:
     """Return paths (L, 2 or 3) [m] as lines with other columns."""
     import geopandas
     import shapely
 
     return geopandas.GeoDataFrame(
-        columns, geometry=[shapely.LineString(line) for line in lines_in_system(paths, crs)],
+        columns, geometry=[shapely.LineString(path[:, :2]) for path in paths],
         crs=Coordinates(crs).crs if crs else None)
 
 
@@ -59,11 +53,10 @@ def strategy_tables(trip: TripStrategy, risk_map: RiskMap) -> Mapping[str, Any]:
     game = trip.game
     secured, network, q = game.secured.shrunk(0.0), game.network, trip.ambusher.q
     edges, p = trip.ground_uses
-    system = Coordinates(risk_map.crs) if risk_map.crs else None
-    points = system.to_crs(network.points) if system else network.points
+    points, centres = network.points, secured.centres
+    crs = Coordinates(risk_map.crs).crs if risk_map.crs else None
     used = np.flatnonzero(p > MIN_PROBABILITY)
     waits = np.flatnonzero(q > MIN_PROBABILITY) if trip.value > 0.0 else np.zeros(0, int)
-    centres = system.to_crs(secured.centres) if system else secured.centres
     stops = [f'stop {k}' for k in range(1, len(trip.legs))]
     ends = points[[network.source, *(leg.network.target for leg in trip.legs)]]
     tables = {
@@ -75,8 +68,7 @@ def strategy_tables(trip: TripStrategy, risk_map: RiskMap) -> Mapping[str, Any]:
                         shapely.buffer(shapely.points(centres), secured.radii, quad_segs=32)),
         'forbidden': ({}, _obstacles(risk_map)),
     }
-    return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes),
-                                         crs=system and system.crs)
+    return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes), crs=crs)
             for name, (columns, shapes) in tables.items() if len(shapes)}
 
 

@@ -232,14 +232,22 @@ class Trip:
                                 ).networks()
 
 
-def plan_from_request(request: PlanRequest) -> Plan:
+def plan_from_request(request: PlanRequest, finished: Finished = ignore_plan) -> Plan:
     """Convert the map, move a blocked goal within its tolerance, and plan.
 
-    Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
+    ``finished`` is called with the first plan, if the request wants one. Raises InvalidRiskMap if
+    the map is malformed, and the errors of ``plan_trip``.
     """
     risk_map, network = request.grid.risk_map(request.occupancy), request.options.network
     goal_xy = nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance,
                                 network.clearance, network.clear_of_edge)
-    made = plan_quietly(risk_map, request.start_xy, goal_xy, request.options, request.stops_xy,
-                        request.warm)
-    return replace(made, risk_map=None)  # too large to send to another process
+    warm = request.warm
+    for options in (request.first, request.options):
+        if options is None:
+            continue
+        made = plan_quietly(risk_map, request.start_xy, goal_xy, options, request.stops_xy, warm)
+        made = replace(made, risk_map=None)  # too large to send to another process
+        if options is request.first:
+            finished(made)
+            warm = WarmStart.of(made.trip)
+    return made

@@ -3,8 +3,7 @@
 
 ``strategy.npz`` holds the strategies of all legs with their networks, ``map_changes.npz`` the
 cells that changed since the departure was planned, ``roads.npz`` the roads of the method graph in
-the map's coordinates. Of plans that were made without ROS, ``map.npz`` holds the risk map, and
-``few.npz`` the few routes that departures draw from, if they do.
+the map's coordinates. Of plans that were made without ROS, ``map.npz`` holds the risk map.
 """
 
 from __future__ import annotations
@@ -30,11 +29,9 @@ from ..game.strategy import TripStrategy, make_strategies
 from ..game.tolerance import Reason
 from ..maps.road_file import RoadGraph
 from ..network.network import Network
-from ..planning.few import FewRoutes
-from ..planning.plan import Plan
 
 STRATEGY_FILE, MAP_CHANGES_FILE, ROADS_FILE = 'strategy.npz', 'map_changes.npz', 'roads.npz'
-MAP_FILE, FEW_FILE = 'map.npz', 'few.npz'
+MAP_FILE = 'map.npz'
 # What all legs have in common: nodes, where the ambusher waits, and the number of legs (before
 # format 11 there was one).
 _NODES, _Q, _LEGS = ('points', 'alpha'), 'ambush_probability', 'legs'
@@ -59,11 +56,6 @@ _PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'secured_dis
 _REASON = 'reason'
 _COMMON = (*_NODES, _Q, _LEGS, _REFINED, _LEG_BOUNDS, _LOWER_BOUND, *_PLANNED, _REASON)
 _ROADS = ('points', 'pairs', 'speeds', 'timed', 'names', 'name', 'places')
-# The lists of arrays of few routes.
-_RAGGED = ('paths', 'routes')
-# ``lower_bound`` is that of each leg.
-_OF_FEW = ('leg', 'shares', 'candidates', 'costs', 'curve')
-_FEW = (*_RAGGED, *(f'{name}_counts' for name in _RAGGED), *_OF_FEW, _LOWER_BOUND)
 
 
 def strategy_file(trip: TripStrategy) -> bytes:
@@ -183,34 +175,6 @@ def roads_from_file(data: bytes | None) -> RoadGraph | None:
         'names' in content) else ()  # older ones have none
     return RoadGraph(content['points'], content['pairs'], content['speeds'],
                      bool(content['timed']), '', *named)
-
-
-def few_file(few: FewRoutes) -> bytes:
-    """Return few routes as an npz file; the lengths of lists of arrays are in ``..._counts``."""
-    arrays: dict[str, Any] = {name: getattr(few, name) for name in _OF_FEW}
-    arrays[_LOWER_BOUND] = [leg.lower_bound for leg in few.trip.legs]
-    for name in _RAGGED:
-        value = getattr(few, name)
-        arrays[name], arrays[f'{name}_counts'] = np.concatenate(value), list(map(len, value))
-    return _npz(arrays)
-
-
-def few_from_file(data: bytes, plan: Plan) -> FewRoutes:
-    """Return the few routes of a plan in the bytes of a ``few.npz``.
-
-    Their strategy is computed from paths and shares.
-    """
-    from ..operations.few_routes import mixed
-
-    content = arrays_in(BytesIO(data), _FEW)
-    ragged = {name: tuple(np.split(content[name], np.cumsum(content[f'{name}_counts'])[:-1]))
-              for name in _RAGGED}
-    shares, costs = (frozen_array(content[name], np.float64) for name in ('shares', 'costs'))
-    leg = frozen_array(content.get('leg', np.zeros(len(shares))), np.int64)  # once there was one
-    trip = mixed(plan, ragged['paths'], leg, shares, np.atleast_1d(content[_LOWER_BOUND]), costs)
-    return FewRoutes(
-        **ragged, leg=leg, shares=shares, trip=trip, candidates=int(content['candidates']),
-        costs=costs, curve=tuple((int(k), value) for k, value in content['curve'].tolist()))
 
 
 def _npz(arrays: Mapping[str, Any]) -> bytes:

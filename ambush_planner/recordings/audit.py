@@ -69,8 +69,6 @@ class Audit:
     p_value : float
         Probability of a deviation as large as the recorded one if departures follow their
         strategies; 0 if something impossible was driven.
-    segments, passages, expected : (C, 2, 2), (C,), (C,)
-        Ends of each edge [m], how often it was driven, and how often that is expected.
     value : float
         Mean value of the departures after the first.
     observer_losses : (n - 1,)
@@ -86,9 +84,6 @@ class Audit:
     left_out: int
     impossible: int
     p_value: float
-    segments: FloatArray
-    passages: IndexArray
-    expected: FloatArray
     value: float
     observer_losses: FloatArray
     observer_range: tuple[float, float]
@@ -120,21 +115,20 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     if n < MIN_DEPARTURES:
         raise NotAuditable(f'at least {MIN_DEPARTURES} departures from strategies without '
                            f'cycles are needed, got {n}')
-    segments = _number_by_position(groups)
+    edges = _number_by_position(groups)
     # Set 0 is the recorded one, the others are resamples.
-    passages = np.zeros((1 + resamples, len(segments)), np.uint16)
+    passages = np.zeros((1 + resamples, edges), np.uint16)
     followed, losses = 1 + min(FOLLOWED, resamples), []
     for group in groups:
         size = len(group.members)
         *recorded, wrong = group.recorded()
         impossible += wrong
         for route, edge in chain([recorded], group.resampled(resamples, rng)):
-            cells = route // size * len(segments) + group.edge_number[edge]
+            cells = route // size * edges + group.edge_number[edge]
             np.add.at(passages.reshape(-1), cells, np.uint16(1))
             early = route < followed * size
             losses.append(group.losses(route[early], edge[early], n))
-    expected, variance = _expected(groups, len(segments))
-    counts = [(passages, expected, variance)]
+    counts = [(passages, *_expected(groups, edges))]
     counts += _slot_counts([each.drawn_slot for each in audited if each.drawn_slot], resamples, rng)
     loss, row, node = (np.concatenate(parts) for parts in zip(*losses, strict=True))
     loss = loss * np.array([each.covered for each in audited])[row % n]
@@ -143,8 +137,6 @@ def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
     return Audit(departures=n, strategies=len({id(each.drawn_from) for each in audited}),
                  left_out=len(departures) - n, impossible=impossible,
                  p_value=0.0 if impossible else _p_value(counts),
-                 segments=segments, passages=frozen_array(passages[0], np.int64),
-                 expected=frozen_array(expected, np.float64),
                  value=float(np.mean([each.value for each in audited[1:]])),
                  observer_losses=frozen_array(caused[0], np.float64),
                  observer_range=(float(low), float(high)))
@@ -224,21 +216,21 @@ def _grouped(departures: Sequence[Any]) -> tuple[list[_Group], list[Any]]:
     return [group for legs in groups.values() for group in legs if group.members], audited
 
 
-def _number_by_position(groups: Sequence[_Group]) -> FloatArray:
-    """Number nodes and used edges of all groups; return the ends of each edge (C, 2, 2) [m]."""
+def _number_by_position(groups: Sequence[_Group]) -> int:
+    """Number nodes and used edges of all groups; return how many edges they are."""
     points = np.concatenate([group.network.points for group in groups])
     node = np.unique(np.rint(points / SAME_POSITION) @ [1.0, 1.0j], return_inverse=True)[1]
     first = np.cumsum([0, *(len(group.network.points) for group in groups)])
     ends = np.concatenate([group.network.edges[group.used] + first[k]
                            for k, group in enumerate(groups)])
     key = node[ends[:, 0]] * len(points) + node[ends[:, 1]]
-    _, index, edge = np.unique(key, return_index=True, return_inverse=True)
+    used, edge = np.unique(key, return_inverse=True)
     parts = np.split(edge, np.cumsum([len(group.used) for group in groups])[:-1])
     for k, (group, part) in enumerate(zip(groups, parts, strict=True)):
         group.node_number = node[first[k]:first[k + 1]]
         group.edge_number = np.full(len(group.p), -1)
         group.edge_number[group.used] = part
-    return frozen_array(points[ends[index]], np.float64)
+    return len(used)
 
 
 def _expected(groups: Sequence[_Group], count: int) -> tuple[FloatArray, FloatArray]:

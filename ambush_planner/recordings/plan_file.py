@@ -2,19 +2,20 @@
 """Plans as files: planned once, drawn from every morning, by anybody who has the file.
 
 A plan file is an MCAP file like a recorded departure: the map as a message, the metadata record
-with the entry ``kind`` 'plan', and as attachments the map, the strategy, and roads and few routes
-if there are any. A departure that is drawn from it has the same, and its route. Needs no ROS.
+with the entry ``kind`` 'plan', and as attachments the map, the strategy, and roads if there are
+any. A departure that is drawn from it has the same, and its route. Needs no ROS.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from ..errors import InvalidOption
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map_file import map_from_bytes, npz_bytes
 from ..network.road_network import in_map_frame
@@ -24,12 +25,9 @@ from ..parameters.values import NodeParameters, parameters_from
 from ..planning.options import node_spacing
 from ..planning.plan import Plan
 from .attachments import (
-    FEW_FILE,
     MAP_FILE,
     ROADS_FILE,
     STRATEGY_FILE,
-    few_file,
-    few_from_file,
     roads_file,
     roads_from_file,
     strategy_file,
@@ -84,8 +82,11 @@ def saved_plan(plan: Plan, occupancy: OccupancyOptions | None = None,
                names: tuple[str, str] = ('', '')) -> SavedPlan:
     """A new plan to save, with the files that it was made from, and names of start and goal.
 
-    Raises InvalidOption if the plan was made in another process, so that its map is missing.
+    Raises InvalidOption if the plan was made in another process, so that its map is missing, or if
+    it has few routes, which are drawn by hand.
     """
+    if plan.few:
+        raise InvalidOption('a plan of few routes is not saved: brief and draw them by hand')
     occupancy = occupancy or OccupancyOptions(crs=plan.own_map.crs)
     values = parameter_values(plan, occupancy)
     roads = plan.options.network.roads
@@ -148,8 +149,6 @@ def attachments_of(plan: Plan, crs: str | None) -> dict[str, bytes]:
         files[MAP_FILE] = npz_bytes(plan.risk_map)
     if roads := plan.options.network.roads:
         files[ROADS_FILE] = roads_file(in_map_frame(roads, crs))
-    if plan.few:
-        files[FEW_FILE] = few_file(plan.few)
     return files
 
 
@@ -178,8 +177,6 @@ def _plan_in(file: RecordingFile) -> SavedPlan:
     trip = strategy_from_file(files[STRATEGY_FILE], planning.game)
     plan = Plan(trip, (), planning, node_spacing(risk_map, planning.network), about.seconds,
                 risk_map)
-    if FEW_FILE in files:
-        plan = replace(plan, few=few_from_file(files[FEW_FILE], plan))
     message = next(each for each in file.messages if each.topic == said.topics['map'])
     return SavedPlan(plan, parameters, about.slots, about.sources, said.frame, said.trip.names,
                      about.id, about.made_ns, files, message)

@@ -21,19 +21,16 @@ from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..operations.slots import Slots
 from ..parameters.values import NodeParameters, parameters_from
 from ..planning.changed_ground import ChangedGround
-from ..planning.few import FewRoutes
 from ..planning.moved_start import JoinedPlan, joined_plan, rest_strategy, whole_route
 from ..planning.options import PlanningOptions
 from ..planning.plan import Route, make_plan
 from ..routes.driven_path import Ends
 from .attachments import (
-    FEW_FILE,
     MAP_CHANGES_FILE,
     MAP_FILE,
     ROADS_FILE,
     STRATEGY_FILE,
     changed_map,
-    few_from_file,
     roads_from_file,
     strategy_from_file,
 )
@@ -67,9 +64,6 @@ class RecordedDeparture:
         The maps of the plan and at the time of departure; the losses of the former.
     before
         What was recorded of the departure before this diversion, if that is known.
-    few
-        The few routes that it was drawn from, if any; ``drawn_from`` are then their strategies, and
-        ``route`` is on their networks.
     """
 
     path: Path
@@ -86,7 +80,6 @@ class RecordedDeparture:
     risk_map: RiskMap
     _path_message: RecordedMessage = field(repr=False)
     before: RecordedDeparture | None = field(default=None, repr=False)
-    few: FewRoutes | None = field(default=None, repr=False)
 
     @cached_property
     def newest_risk_map(self) -> RiskMap:
@@ -200,15 +193,9 @@ def _departure_in(file: RecordingFile, once: Once) -> RecordedDeparture:
         if (value := metadata.value) is not None:
             drawn_from = with_certificate(drawn_from,
                                           Certificate(value, min(trip.lower_bound, value)))
-    few: FewRoutes | None = None
-    if FEW_FILE in files:
-        few = once(few_from_file, files[FEW_FILE], ground().plan)
-        assert few
-        drawn_from, route = few.trip, few.nodes(few.numbers(route))
     message = file.in_role('path')
     return RecordedDeparture(file.path, metadata, message.stamp_ns, parameters, route, drawn,
-                             trip, drawn_from, joined, planned_on, newest, risk_map, message,
-                             few=few)
+                             trip, drawn_from, joined, planned_on, newest, risk_map, message)
 
 
 def _nodes(route: tuple[tuple[int, ...], ...], trip: TripStrategy) -> Route:

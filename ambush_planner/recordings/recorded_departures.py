@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from ..words import count
 from .metadata import Metadata
 from .recorded_departure import RecordedDeparture, made_once, read_departure
-from .recorder import FILE_NAME, listed_in
 from .recording_errors import UnreadableRecording, reading_from
 
 if TYPE_CHECKING:
@@ -143,7 +142,7 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
         here = {said.recording_id: (each, said) for each, said in known
                 if each.path.parent == folder}
         if len(here) > 1 and folder not in unreadable:
-            problems += _missing(folder, here)
+            problems += _diversion_problems(here)
         numbers = {said.departure for _, said in here.values()}
         if missing := max(numbers) - min(numbers) + 1 - len(numbers):
             notes.append(f'{folder.name}: no recording of {count(missing, "departure")} between '
@@ -151,8 +150,8 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
     return problems, notes
 
 
-def _missing(folder: Path, here: Mapping[str, tuple[Verdict, Metadata]]) -> Iterator[str]:
-    """Report recordings that others in a folder, or its list, say have been there."""
+def _diversion_problems(here: Mapping[str, tuple[Verdict, Metadata]]) -> Iterator[str]:
+    """Compare diversions with the recordings in their folder that they were diverted from."""
     for each, said in here.values():
         name, diversion = each.path.name, said.diversion
         if diversion is None:
@@ -166,9 +165,6 @@ def _missing(folder: Path, here: Mapping[str, tuple[Verdict, Metadata]]) -> Iter
             yield f'diversion: {name} does not begin on the route before it'
         elif before[1].value != said.value:
             yield f'value: {name} states another one than the departure that it diverts'
-    for name in listed_in(folder):
-        if not (folder / name).exists():
-            yield f'missing: {name}, which {FILE_NAME} lists'
 
 
 def _natural_order(path: Path) -> list[tuple[int, str]]:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_all_durably
 from .encoding import encode
 from .messages import Channel, RecordedMessage, fields_from_yaml
-from .recording_errors import UnreadableRecording, bytes_in, recording_to
+from .recording_errors import recording_to
 from .schemas import definitions
 
 # The list of a session folder's files. It is written as JSON, which is YAML and fast to write.
@@ -174,16 +174,6 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
     }}
     head, end_of_list = json.dumps(described, ensure_ascii=False).rsplit(']', 1)
     return f'{head}{", ".join(each.entry for each in files)}]{end_of_list}\n'.encode()
-
-
-def listed_in(folder: Path) -> list[str]:
-    """Return the files that the ``metadata.yaml`` of a folder lists; none unless it is ours."""
-    try:
-        content = json.loads(bytes_in(folder / FILE_NAME))
-        names = content['rosbag2_bagfile_information']['relative_file_paths']
-        return [name for name in names if isinstance(name, str)]
-    except (UnreadableRecording, ValueError, LookupError, TypeError, RecursionError):
-        return []
 
 
 def _time_span(start_ns: int, end_ns: int) -> dict[str, Any]:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # Size of the CRC of the summary, and of what ends a file [bytes].
 _END = 4 + 8
+# The attachment of few routes (ambush plan --routes), from which earlier versions drew.
+_FEW = 'few.npz'
 # The format before, in which a trip was one network, and a route one list of its nodes.
 _BEFORE = '10'
 # Parameters that it did not have; the defaults are what it did.
@@ -59,7 +61,7 @@ class RecordingFile:
 
 def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFile:
     """Read a file and check its CRCs, by default also its messages; raises UnreadableRecording."""
-    from mcap.records import Chunk, DataEnd, Message, Metadata
+    from mcap.records import Attachment, Chunk, DataEnd, Message, Metadata
     from mcap.stream_reader import StreamReader
 
     path = Path(path)
@@ -101,6 +103,10 @@ def read_recording(path: Path | str, with_messages: bool = True) -> RecordingFil
             path, f'its format is {texts.get("format")!r}, this version reads {FORMAT!r}: use the '
             'version of ambush_planner that recorded it'
         )
+    if any(isinstance(each, Attachment) and each.name == _FEW for each in found):
+        raise UnreadableRecording(
+            path, 'it is of a plan of few routes, which are now drawn by hand: use the version of '
+            'ambush_planner that recorded it')
     try:
         entries = {name: json.loads(text) for name, text in texts.items()}
         if texts['format'] == _BEFORE:

@@ -1,47 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The data of a report: departures by trip, and what its maps show."""
+"""The data of a report: departures by trip, and their measures."""
 
 from __future__ import annotations
 
 import math
-import zlib
-from base64 import b64encode
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from ..arrays import FloatArray
-from ..colours import ROUTES
 from ..game.strategy import TripStrategy
-from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
 from ..operations.slots import Slots
-from ..planning.ambush_costs import BestAmbush, best_ambush, cost_raster
+from ..planning.ambush_costs import BestAmbush, best_ambush
 from ..planning.evaluation import Measures, compared
-from ..routes.legs import main_corners
-from ..routes.shared_roads import stripes
 from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
 SAME_TRIP = 0.05
-# Maximum number of cells of a map in each direction, or blocks of cells.
-MAX_CELLS = 2000
-# Number of obstacle cells; smaller numbers are indices into the losses.
-OBSTACLE = 255
-# Maximum number of blocks of cells in each direction whose cost is shown at the pointer.
-MAX_COSTS = 160
-# Its codes: shares of the largest cost up to 1, then secured area, then obstacle.
-FULL, SECURED, NOBODY = 250, 254, 255
-# Minimum probability of edges that are drawn.
-MIN_PROBABILITY = 1e-3
-# Accuracy of driven paths in the picture [cells of the map].
-PATH_ACCURACY = 0.1
-# Minimum probability of sites, as a share of the likeliest site's.
-MIN_SITE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +49,7 @@ class Section:
     def measures(self) -> dict[str, Measures]:
         """The departures' strategy, at the times that are drawn, and planners of a fixed route."""
         last = self.departures[-1]
-        rows = compared(self.trip, last.trip if last.few else self.trip)
+        rows = compared(self.trip, self.trip)
         drawn = rows['stochastic']
         return rows | {'stochastic': replace(
             drawn, p_first=drawn.p_first * last.covered, p_repeated=drawn.p_repeated * last.covered,
@@ -104,72 +79,3 @@ def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
             sections.append(section := Section([]))
         section.departures.append(each)
     return sections
-
-
-def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
-    """Return what the script of the map draws; positions are relative to the map's corner [m].
-
-    Arrays are deflated, little-endian and base64. ``cells`` are indices into the losses ``levels``,
-    ``costs`` what an ambush costs, in blocks of ``block`` [m], as shares of ``most_cost``.
-    ``pieces`` of ``routes`` have the index of their departure, their number of points, and how many
-    of the later coloured routes follow them.
-    Raises InvalidCoordinates if the map's coordinate system cannot be used.
-    """
-    risk_map, trip, game = section.risk_map, section.trip, section.trip.game
-    cells, levels, cell = map_cells(risk_map)
-    edges, p = trip.ground_uses
-    used = np.flatnonzero(p >= MIN_PROBABILITY)
-    costs = cost_raster(trip, risk_map, MAX_COSTS)
-    covered = section.departures[-1].covered
-    most_cost = max(trip.value, float(np.nanmax(costs.cost, initial=0.0))) or 1.0
-    codes = np.where(np.isnan(costs.cost), np.where(costs.secured, SECURED, NOBODY),
-                     np.rint(FULL * np.nan_to_num(costs.cost) / most_cost))
-    corner = np.array(risk_map.origin[:2])
-    low, high = risk_map.bounds
-    degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
-    paths = [each.path_poses[:, :2] for each in section.departures]
-    lines = [*([(path, 0)] for path in paths[: -len(ROUTES)]), *stripes(paths[-len(ROUTES) :])]
-    pieces = [(k, piece[main_corners(piece, PATH_ACCURACY * cell)] - corner, over)
-              for k, line in enumerate(lines) for piece, over in line]
-    network, targets = game.network, [leg.network.target for leg in trip.legs]
-    ends = [network.source, targets[-1], *targets[:-1]]
-    return {
-        'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
-        'origin': corner.tolist(), 'yaw': risk_map.origin[2],
-        'box': [*(low - corner).tolist(), *(high - corner).tolist()],
-        'ends': (network.points[ends] - corner).tolist(),
-        'discs': [[x - corner[0], y - corner[1], radius] for (x, y), radius in zip(
-            game.secured.centres.tolist(), game.secured.radii.tolist(), strict=True) if radius > 0],
-        'reach': game.reach, 'value': section.bounds[0], 'most_cost': covered * most_cost,
-        'degrees': degrees, 'cells': packed(cells, 'u1'), 'costs': packed(codes, 'u1'),
-        'block': costs.block * risk_map.resolution, 'blocks': codes.shape[1],
-        'segments': packed((network.points - corner)[edges[used]], '<f4'),
-        'shown': packed(p[used], '<f4'),
-        'sites': packed(_sites(trip) - [*corner, 0.0], '<f4'),
-        'routes': packed(np.concatenate([line for _, line, _ in pieces]), '<f4'),
-        'pieces': [(k, len(line), over) for k, line, over in pieces],
-    }
-
-
-def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:
-    """Return cells as indices of losses, the losses, and the edge of a cell [m]."""
-    shown = risk_map.coarser(MAX_CELLS)
-    alpha, obstacles = np.asarray(shown.alpha), shown.obstacles
-    levels = np.unique(alpha[~obstacles]) if not obstacles.all() else np.zeros(1)
-    if len(levels) > OBSTACLE:
-        levels = np.linspace(levels[0], levels[-1], OBSTACLE)
-    middle = (levels[1:] + levels[:-1]) / 2.0
-    index = np.where(obstacles, OBSTACLE, np.searchsorted(middle, alpha))
-    return index.astype(np.uint8), levels.tolist(), shown.resolution
-
-
-def packed(array: npt.ArrayLike, kind: str) -> str:
-    """Return an array of a kind such as ``<f4`` as deflated base64."""
-    return b64encode(zlib.compress(np.ascontiguousarray(array, kind).tobytes())).decode('ascii')
-
-
-def _sites(trip: TripStrategy) -> FloatArray:
-    """Position of each ambush site [m], and its probability relative to the likeliest (K, 3)."""
-    q = trip.ambusher.q if trip.value > 0.0 else np.zeros(1)
-    at = np.flatnonzero(q > MIN_SITE * q.max())
-    return np.column_stack((trip.game.network.points[at], q[at] / (q.max() or 1.0)))

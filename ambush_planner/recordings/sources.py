@@ -78,20 +78,12 @@ def list_sources(made: Sequence[Path], of: Iterable[Path]) -> Path:
     return path
 
 
-def changes(sources: Iterable[Source], folder: Path,
-            files: Mapping[str, Path | None] | None = None) -> list[str]:
-    """Say which sources of a plan in a folder have changed or are gone.
-
-    ``files`` are where the map and the roads are now, by role, if they are named.
-    """
-    found, named = [], {role: path for role, path in (files or {}).items() if path}
+def changes(sources: Iterable[Source], folder: Path) -> list[str]:
+    """Say which sources of a plan in a folder have changed or are gone."""
+    found = []
     for each in sources:
-        path = folder / each.name
-        if given := named.get(each.role):
-            others = files_of_map(given) if each.role == MAP else _with_others(given)
-            path = next((other for other in others if other.suffix == path.suffix), given)
         try:
-            same = digest_of(path) == each.digest
+            same = digest_of(folder / each.name) == each.digest
         except FileNotFoundError:
             found.append(f'{each.name} is gone, the {each.role} that the plan was made from')
         except OSError as error:

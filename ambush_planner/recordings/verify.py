@@ -175,8 +175,6 @@ class Verifier:
                                    parameters.occupancy, parameters.planning, departure.risk_map)
         plan, source = ground.plan, said.route_entropy_source
         spacing = parameters.values['route.path_spacing']
-        if departure.few:
-            plan = replace(plan, few=departure.few)
         if said.diversion:
             leg = len(said.diversion.left) - len(said.route)
             again = other_rest(ground, newest, said.ends, leg, np.array(said.diversion.ahead),

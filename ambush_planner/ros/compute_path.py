@@ -18,7 +18,7 @@ from .errors import ErrorBoundary, FrameMismatch, Refusal, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
 from .requests import Requests
-from .serial_executor import started
+from .serial_executor import future_of
 from .topics import REQUESTS
 
 # The actions and their types.
@@ -56,7 +56,7 @@ class ComputePath:
         )
 
     def _accepted(self, handle: Any) -> None:
-        handle.departure = started(
+        handle.departure = future_of(
             lambda: self._requests.start_plan(*self._plan_request(handle.request)))
         # By the executor: it may be handling a request to cancel the goal.
         handle.departure.add_done_callback(

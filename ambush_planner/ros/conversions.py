@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from geometry_msgs.msg import Pose, PoseStamped
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import deserialize_message
@@ -59,16 +59,22 @@ class SentPath(NamedTuple):
 
     @property
     def message(self) -> PathMessage:
-        """The message, for services and actions, which rclpy serialises."""
+        """The message, for services and actions, which rclpy serialises.
+
+        Its poses are filled by their slots: constructors and setters take seven times as long.
+        """
         header = Header(frame_id=self.frame, stamp=Time(nanoseconds=self.stamp_ns).to_msg())
-        path = PathMessage(header=header)
-        for x, y, z, qx, qy, qz, qw in self.poses.tolist():
-            each = PoseStamped()  # has a pose, and takes half as long as with one
-            each.header, position, orientation = header, each.pose.position, each.pose.orientation
-            position.x, position.y, position.z = x, y, z
-            orientation.x, orientation.y, orientation.z, orientation.w = qx, qy, qz, qw
-            path.poses.append(each)
-        return path
+        poses, new = [], object.__new__
+        for row in self.poses.tolist():
+            point, quaternion, pose, each = new(Point), new(Quaternion), new(Pose), new(PoseStamped)
+            point._x, point._y, point._z = row[:3]
+            quaternion._x, quaternion._y, quaternion._z, quaternion._w = row[3:]
+            pose._position, pose._orientation = point, quaternion
+            each._header, each._pose = header, pose
+            point._check_fields = quaternion._check_fields = False
+            pose._check_fields = each._check_fields = False
+            poses.append(each)
+        return PathMessage(header=header, poses=poses)
 
 
 def row_of(pose: Pose) -> list[float]:

@@ -93,7 +93,7 @@ def metadata_of(departure: Departure, full_name: Callable[[str], str]) -> Metada
     return Metadata(
         departure.id, departure.number, trip.map.frame,
         {**trip.parameters.values,
-         **{name: departure.held.task.parameters.values[name] for name in OF_PLAIN_NETWORK}},
+         **{name: departure.held.parameters.values[name] for name in OF_PLAIN_NETWORK}},
         dict(software_versions()), topics,
         RecordedTrip(planned.start_xy, plan.goal_xy, plan.stops_xy), departure.ends,
         departure.joined, numbers_of(departure.route), tuple(departure.entropy_source),

@@ -62,8 +62,8 @@ class Departures:
     """Makes departures, which leave one after the other while the ``gate`` is open.
 
     Call all methods on the departures thread, which is ``thread``. A request whose route is out of
-    date before it leaves is given to ``retry``. ``trips`` are those that robots are on; ``leaving``
-    are the futures, by robot, of departures that are being recorded first.
+    date before it leaves is given to ``retry``. ``trips`` are those that robots are on, and
+    ``unsettled`` the futures, by robot, of departures that have not left, being recorded first.
     """
 
     def __init__(self, displayed: DisplayedPlan, inputs: Inputs, publishers: Publishers,
@@ -73,7 +73,7 @@ class Departures:
         self._recordings, self._reporter, self._logger = recordings, reporter, logger
         self._gate, self._thread, self._retry = gate, thread, retry
         self.trips = RobotTrips(inputs, lambda: publishers.clock.now().nanoseconds / 1e9)
-        self.leaving: dict[str, Future[None]] = {}
+        self.unsettled: dict[str, Future[None]] = {}
         self._count = 0
 
     def draw(self, fit: Fit, pending: Pending) -> bool:
@@ -130,28 +130,28 @@ class Departures:
         return True
 
     def _depart(self, pending: Pending, trip: Trip, held: CachedPlan, source: list[int],
-                rows: FloatArray, route: Route, whole: Route, ends: Ends,
-                track: TripUnderWay | None, **said: Any) -> Future[None]:
-        """Publish a departure, at once or when it is recorded; it is under way from then on.
+                rows: FloatArray, route: Route, full_route: Route, ends: Ends,
+                track: TripUnderWay | None, **fields: Any) -> Future[None]:
+        """Publish a departure, at once or when it is recorded; return the future of its leaving.
 
-        It is driven along ``rows`` (L, 3); a diversion's ``route`` is the rest of the ``whole``
-        one. Only a robot has a ``track``; what is ``said`` are the other fields of the departure.
-        Returns the future of its leaving.
+        It is driven along ``rows`` (L, 3). A diversion's ``route`` is the rest of the full one.
+        Only a robot has a ``track``, and is under way on it once the departure has left; ``fields``
+        are the other ones of the departure.
         """
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.call.request_ns, self._publishers.clock.now().nanoseconds)
         path, publishes = trip.path(rows, leaving), trip.parameters.values['path.publish']
         # It is recorded on its topic, or under the service that returns it.
         topic = '' if publishes else f'{pending.call.service}/path'
-        departure = self._reporter.departing(Departure(
+        departure = self._reporter.prepare(Departure(
             call=replace(pending.call, response_ns=leaving), trip=trip, held=held, ends=ends,
             entropy_source=source, route=route,
             published=self._publishers.as_recorded('path', path.data, topic),
-            tight_turns=tight_turns(rows, held.plan.options.drive.turning_radius), **said))
+            tight_turns=tight_turns(rows, held.plan.options.drive.turning_radius), **fields))
         diversions = departure.diversion.number if departure.diversion else 0
         under_way = None if track is None else RobotTrip(
             track, replace(pending.trip_request, parameters=trip.parameters), departure.id,
-            departure.number, diversions, departure.assessment, ref(held), whole,
+            departure.number, diversions, departure.assessment, ref(held), full_route,
             (self.trips.now(), trip.stamp))
 
         def leave() -> None:
@@ -161,7 +161,7 @@ class Departures:
                 if publishes:
                     for topic in ('path', 'plan'):  # Nav2's RViz shows the latter
                         self._publishers.publish(topic, departure.published.data)
-                self._reporter.departed(departure)
+                self._reporter.publish(departure)
             if under_way and trip.parameters.recording.required:  # in the recordings' thread
                 self._thread.submit(lambda: self.trips.add(under_way))
             elif under_way:
@@ -170,8 +170,8 @@ class Departures:
             pending.answer.set_result(Answer(path, departure.remarks, took_ns, departure))
 
         def settle(left: Future[None]) -> None:
-            if self.leaving.get(trip.robot) is left:
-                del self.leaving[trip.robot]
+            if self.unsettled.get(trip.robot) is left:
+                del self.unsettled[trip.robot]
             if isinstance(error := left.exception(), OutOfDate):
                 self._thread.submit(lambda: self._retry(pending), pending.answer)
             elif error:
@@ -182,7 +182,7 @@ class Departures:
 
         left = self._recordings.publish(departure, leave)
         if trip.robot:
-            self.leaving[trip.robot] = left
+            self.unsettled[trip.robot] = left
         left.add_done_callback(settle)
         return left
 

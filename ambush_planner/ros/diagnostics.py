@@ -16,7 +16,6 @@ from std_msgs.msg import Header
 from ..planning.changed_ground import Assessment
 from ..planning.concerns import concerns, plan_numbers
 from ..planning.plan import Plan
-from ..worker.solve_errors import SolveCancelled
 from .departure_record import Departure
 from .errors import OK_CODE, code_of
 from .gate import ACTIVE
@@ -29,21 +28,22 @@ _ERRORS = ('request', 'alpha_map', 'costmap', 'join', 'recording')
 
 
 class Problem(NamedTuple):
-    """A problem: a code (``error_codes``; '' for a warning), a message, and the level."""
+    """A problem: the code of its error, '' if it is a warning, and a message."""
 
     code: str
     message: str
-    level: bytes
 
     @classmethod
     def of(cls, wrong: Exception | str) -> Problem:
         """Return the problem that an error or a warning is."""
         if isinstance(wrong, str):
-            return cls('', wrong, DiagnosticStatus.WARN)
-        # A solve that was cancelled on request has not failed.
-        cancelled = isinstance(wrong, SolveCancelled)
-        return cls(code_of(wrong), str(wrong) or type(wrong).__name__,
-                   DiagnosticStatus.WARN if cancelled else DiagnosticStatus.ERROR)
+            return cls('', wrong)
+        return cls(code_of(wrong), str(wrong) or type(wrong).__name__)
+
+    @property
+    def level(self) -> bytes:
+        """The level of a status; a solve that was cancelled on request has not failed."""
+        return DiagnosticStatus.WARN if self.code in ('', 'CANCELLED') else DiagnosticStatus.ERROR
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class Status:
     """The node's status.
 
     ``problems`` are by what they concern: errors of a 'request', of a map ('alpha_map', 'costmap'),
-    of the 'join' of both or of a 'recording'; warnings of 'parameters', of a topic's 'qos', of
-    updates of a map that were lost ('alpha_map_updates', 'costmap_updates'), of a costmap that has
-    'stopped', of a map without 'risk' and of a 'disk'. ``assessment`` is of the displayed plan
+    of the 'join' of both or of a 'recording'; warnings of a topic's 'qos', of updates of a
+    map that were lost ('alpha_map_updates', 'costmap_updates'), of a costmap that has 'stopped', of
+    a map without 'risk' and of a 'disk'. ``assessment`` is of the displayed plan
     on the current map, and ``stale`` says why that plan is stale, if it is. The
     ``last_answer`` to a request may have been the rest of the path of the ``last`` departure.
     ``records``: whether departures are recorded.
@@ -123,10 +123,8 @@ class Reporter:
         self._change(lambda status: replace(status, **fields))
 
     def forget(self) -> None:
-        """Clear everything except the warning about parameters."""
-        self._change(lambda status: Status(
-            records=status.records,
-            problems={key: each for key, each in status.problems.items() if key == 'parameters'}))
+        """Clear everything except whether departures are recorded."""
+        self._change(lambda status: Status(records=status.records))
 
     def note(self, concern: str, wrong: Exception | str | None) -> None:
         """Set the error or warning of a concern of ``Status.problems``; None and '' clear it."""
@@ -135,7 +133,7 @@ class Reporter:
                 self._failed_at = time.monotonic()
             self._change(lambda status: status.noting(concern, wrong))
 
-    def departing(self, departure: Departure) -> Departure:
+    def prepare(self, departure: Departure) -> Departure:
         """Return a departure that is about to leave, with its report and what this remarks.
 
         The report is not published. With ``recording.required`` it says that the recording is done.
@@ -150,8 +148,8 @@ class Reporter:
         remarks = '; '.join(filter(None, (departure.remarks, trouble and trouble.message)))
         return replace(departure, report=report, remarks=remarks)
 
-    def departed(self, departure: Departure) -> None:
-        """Publish the report of a departure that leaves, made by ``departing``."""
+    def publish(self, departure: Departure) -> None:
+        """Publish the report of a departure that leaves, made by ``prepare``."""
         assert departure.report is not None
         with self._lock:
             self._status = self._left(departure)

@@ -30,7 +30,7 @@ from .errors import Refusal
 from .gate import Gate
 from .inputs import Inputs
 from .parameter_changes import NodeSettings
-from .plan_cache import CachedPlan, PlanCache, Task
+from .plan_cache import CachedPlan, PlanCache
 from .recordings import Recordings
 from .serial_executor import SerialExecutor
 from .topics import Publishers
@@ -92,7 +92,7 @@ class Dispatcher:
         inputs.join_maps()
         inputs.start, inputs.goal, inputs.via = request.start, request.goal, request.via
         trip = inputs.locate(request)
-        cached = self._plans.adopt(Task(trip), saved.plan)
+        cached = self._plans.adopt(saved.plan, trip, trip.parameters)
         self._logger.info(f'plan read from a file: value {saved.plan.value:.6g}, '
                           f'{len(saved.plan.network.points)} nodes')
         self._thread.submit(lambda: self._displayed.show(cached.as_solved))
@@ -107,9 +107,9 @@ class Dispatcher:
             self._waiting = [each for each in self._waiting if not each.answer.done()]
             self._departures.trips.watch()
 
-        waits = self._recordings.waits
-        self._reporter.note('disk', f'the disk of the recordings has not responded for {waits:.0f} '
-                            's' if waits else '')
+        hung_for = self._recordings.hung_for
+        self._reporter.note('disk', 'the disk of the recordings has not responded for '
+                            f'{hung_for:.0f} s' if hung_for else '')
         self._recordings.refuse()
         self._thread.submit(watch)
         self._retry()
@@ -133,11 +133,11 @@ class Dispatcher:
     def replan(self) -> Future[Plan]:
         """Solve the latest trip on the current map, whether or not a plan is cached."""
         result: Future[Plan] = Future()
-        latest = self.inputs.latest()
+        latest = self.inputs.latest_request()
 
         def begin() -> None:
             self._gate.check()
-            trip = self.inputs.locate(latest).out_of_obstacle()
+            trip = self.inputs.locate(latest).leave_obstacle()
             self._when_solved(self._plans.solve(trip), show, result)
 
         def show(cached: CachedPlan) -> None:
@@ -148,8 +148,8 @@ class Dispatcher:
         self._thread.submit(begin, result)
         return result
 
-    def cancel(self, why: AmbushPlannerError | None = None) -> tuple[int, int]:
-        """Cancel all solves, and refuse departures that wait for the disk; return their numbers."""
+    def cancel(self, why: AmbushPlannerError | None = None) -> bool:
+        """Cancel all solves, and refuse departures that wait for the disk; False if none is."""
         error = why or SolveCancelled('the request was cancelled')
 
         def refuse() -> None:
@@ -157,9 +157,9 @@ class Dispatcher:
                 if not each.answer.running():  # it has not been drawn
                     _refuse(each, error)
 
-        departures = len(self._aside) + self._recordings.refuse(error)
+        waited = bool(self._aside), self._recordings.refuse(error)
         self._thread.submit(refuse)
-        return self._plans.queue.cancel(str(error)), departures
+        return self._plans.queue.cancel(str(error)) or any(waited)
 
     def _begin(self, pending: Pending) -> None:
         """Refuse the client's waiting requests for other goals, and try to answer."""
@@ -183,7 +183,7 @@ class Dispatcher:
         trip = self.inputs.locate(pending.trip_request)
         if (not pending.draws and self._goes_on(trip, pending)) or self._waits_for_room(pending):
             return
-        trip = trip.out_of_obstacle()
+        trip = trip.leave_obstacle()
         fit = self._plans.fit(trip, pending.tries >= _ANY_VALUE_FROM)
         if not (fit and self._departures.draw(fit, pending)):
             self._try_again(pending, trip)
@@ -213,7 +213,7 @@ class Dispatcher:
 
     def _goes_on(self, trip: Trip, pending: Pending) -> bool:
         """Answer a robot that has arrived or is on its way; False if it is neither."""
-        if left := self._departures.leaving.get(trip.robot):
+        if left := self._departures.unsettled.get(trip.robot):
             self._thread.submit_after(left, lambda _: self._try(pending), pending.answer)
             return True
         under_way = self._departures.trips.continued_by(trip)

@@ -12,6 +12,7 @@ from ..planning.plan import Plan
 from ..recordings.messages import RecordedMessage
 from ..recordings.schemas import MARKER_NAMES
 from ..worker.solve_errors import SolveCancelled
+from .current_map import CurrentMap
 from .diagnostics import Reporter
 from .inputs import Inputs
 from .markers import MARKERS
@@ -24,9 +25,10 @@ from .topics import Publishers
 class DisplayedPlan:
     """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
-    Call ``show`` on the departures thread only, which is ``thread``. The plan is ``cached``, None
-    before the first one; ``markers`` are those of ``plan``, which may join it, that
-    recordings have: RViz and Foxglove hide the whole network.
+    Call ``show`` on the departures thread only, which is ``thread``. The plan is ``cached``; what
+    is shown is ``plan``, that plan itself or one that joins it from where a robot is. Both are None
+    before the first one. ``markers`` are those of ``plan`` without the whole network, which RViz
+    and Foxglove hide: recordings keep these.
     """
 
     def __init__(self, plans: PlanCache, inputs: Inputs, settings: NodeSettings,
@@ -37,7 +39,7 @@ class DisplayedPlan:
         self.plan: Plan | None = None
         self.markers: tuple[RecordedMessage, ...] = ()
         self._map_is_new = False
-        self._latest_resolve: Future[CachedPlan] | None = None
+        plans.on_solved = lambda solved: thread.submit(lambda: self._show_refined(solved))
 
     def show(self, fit: Fit) -> None:
         """Display a plan, perhaps one that joins it: publish markers and report its numbers.
@@ -45,8 +47,9 @@ class DisplayedPlan:
         A first plan is refined from now on, also if that was cancelled before.
         """
         cached, plan = fit.cached, fit.plan
-        if cached.task.first:
-            self._refine(cached)
+        if cached.is_first:
+            with suppress(AmbushPlannerError):  # the node is inactive, or about to end
+                self._plans.refine(cached)
         if plan is self.plan:
             return
         frame, now = cached.trip.map.frame, self._publishers.clock.now().nanoseconds
@@ -85,39 +88,26 @@ class DisplayedPlan:
                 f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
                 if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
             )
-            if not cached.trip.robot:
-                with suppress(AmbushPlannerError):  # the node is inactive
-                    self._resolve(cached, stale)
-                    stale += '; a new plan is being solved'
-        else:
-            self._latest_resolve = None
         self._reporter.set(assessment=assessment, stale=stale)
+        if stale and not cached.trip.robot:
+            with suppress(AmbushPlannerError):  # the node is inactive
+                self._resolve(cached, newest, stale)
 
-    def _refine(self, cached: CachedPlan) -> None:
-        """Have a first plan's network refined, and show the new plan if it still shows this one."""
+    def _resolve(self, cached: CachedPlan, newest: CurrentMap, stale: str) -> None:
+        """Have the plan solved for the newest map in the background, and show the new one."""
         def show_result(solve: Future[CachedPlan]) -> None:
-            with suppress(AmbushPlannerError):  # the first plan stays
-                refined = solve.result()
-                if self.cached is cached:
-                    self.show(refined.as_solved)
-
-        with suppress(AmbushPlannerError):  # the node is inactive, or about to end
-            self._thread.submit_after(self._plans.refine(cached), show_result)
-
-    def _resolve(self, cached: CachedPlan, why: str) -> None:
-        """Have the plan solved for the current map in the background, and show the new one."""
-        def show_result(solve: Future[CachedPlan]) -> None:
-            latest = solve is self._latest_resolve  # the map has not changed again
-            if latest:
-                self._latest_resolve = None
             try:
                 self.show(solve.result().as_solved)
+            except SolveCancelled:
+                pass
             except AmbushPlannerError as error:
-                if latest and self.cached is cached:
-                    cancelled = isinstance(error, SolveCancelled)
-                    outcome = 'was cancelled' if cancelled else f'failed: {error}'
-                    self._reporter.set(stale=f'{why}, and the new solve {outcome}')
+                if self.cached is cached and self._inputs.map is newest:
+                    self._reporter.set(stale=f'{stale}, and the new solve failed: {error}')
 
-        trip = replace(cached.trip, map=self._inputs.current_map())
-        self._latest_resolve = self._plans.solve(trip, background=True)
-        self._thread.submit_after(self._latest_resolve, show_result)
+        trip = replace(cached.trip, map=newest)
+        self._thread.submit_after(self._plans.solve(trip, background=True), show_result)
+
+    def _show_refined(self, solved: CachedPlan) -> None:
+        """Show a plan instead of the first one for its trip."""
+        if self.cached and self.cached.is_first and self.cached.trip == solved.trip:
+            self.show(solved.as_solved)

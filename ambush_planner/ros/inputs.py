@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn
 
 from geometry_msgs.msg import PoseArray, PoseStamped
 from nav_msgs.msg import OccupancyGrid
@@ -22,8 +21,6 @@ from .errors import FrameMismatch, Refusal
 from .parameter_changes import NodeSettings
 from .transforms import FrameTransforms
 from .trip import Trip, TripRequest
-
-_Read = TypeVar('_Read')
 
 # Maximum number of stops on a trip: each adds a leg, with a copy of the network.
 MAX_STOPS = 50
@@ -77,27 +74,22 @@ class Inputs:
         out. Then raises the last of its errors: Refusal if bytes are not a message, or there is no
         map to update, InvalidRiskMap if one is malformed or does not fit.
         """
-        errors, name = [], self._full_name(topic)
-
-        def read(each: Arrived, fits: Callable[[Any], _Read]) -> _Read | None:
+        newest, name = self._arrived[topic], self._full_name(topic)
+        in_order = sorted(arrived, key=lambda each: each.sent_ns)
+        maps = [k for k, each in enumerate(in_order) if each.kind is OccupancyGrid]
+        updates, errors = [], []
+        for each in in_order[maps[-1] if maps else 0:]:
             try:
-                return fits(message_from(each.data, each.kind, name))
+                message = message_from(each.data, each.kind, name)
+                if each.kind is OccupancyGrid:
+                    newest = map_from(message, name, each.sent_ns)
+                elif newest is None:
+                    self._no_map()
+                elif each.sent_ns >= newest.sent_ns:
+                    newest.check_update(message)
+                    updates.append(message)
             except (InvalidRiskMap, Refusal) as error:
                 errors.append(error)
-                return None
-
-        def fitting(update: Any) -> Any:
-            (newest or self._no_map()).check_update(update)
-            return update
-
-        in_order = sorted(arrived, key=lambda each: each.sent_ns)
-        maps = (read(each, partial(map_from, topic=name, sent_ns=each.sent_ns))
-                for each in reversed(in_order) if each.kind is OccupancyGrid)
-        newest = next(filter(None, maps), self._arrived[topic])
-        since = newest.sent_ns if newest else 0
-        updates = [update for each in in_order
-                   if each.kind is not OccupancyGrid and each.sent_ns >= since
-                   and (update := read(each, fitting))]
         if newest is not None:
             self.take(topic, newest.updated(updates) if updates else newest)
         if errors:
@@ -145,11 +137,10 @@ class Inputs:
         return tuple(self._full_name(name) for name, given in inputs.items()
                      if not given or (unused and name == 'alpha_map'))
 
-    def latest(self) -> TripRequest:
+    def latest_request(self) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
 
-        Raises Refusal if an input has not arrived, and InvalidOption while parameters contradict
-        each other.
+        Raises Refusal if an input has not arrived.
         """
         self.current_map()
         if self.start is None and not self._settings.current.values['robot_base_frame']:
@@ -158,18 +149,18 @@ class Inputs:
                           'robot_base_frame')
         if self.goal is None:
             raise Refusal('NO_GOAL', f'no goal yet: publish one on {self._full_name("goal_pose")}')
-        return TripRequest(self._settings.agreeing(), self.start, self.goal, via=self.via)
+        return TripRequest(self._settings.current, self.start, self.goal, via=self.via)
 
-    def given(self, start: PoseStamped, goal: PoseStamped, tolerance: float,
-              stops: PoseArray) -> TripRequest:
+    def request_between(self, start: PoseStamped, goal: PoseStamped, tolerance: float,
+                        stops: PoseArray) -> TripRequest:
         """Return the trip of a request with its own poses, as if they had arrived on the topics.
 
-        Raises Refusal without a map, and InvalidOption while parameters contradict each other.
+        Raises Refusal without a map.
         """
         self.asked_directly = True
         self.current_map()
         via = stops if stops.poses else None
-        return TripRequest(self._settings.agreeing(), start, goal, tolerance, via)
+        return TripRequest(self._settings.current, start, goal, tolerance, via)
 
     def current_map(self) -> CurrentMap:
         """Return the current map; raises Refusal if none has arrived."""

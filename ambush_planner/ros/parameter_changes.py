@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import (
@@ -19,13 +18,7 @@ from rclpy.parameter import Parameter
 from ..errors import InvalidOption, telling_warnings
 from ..gone import check_none_gone
 from ..parameters.table import PARAMETERS, Declaration
-from ..parameters.values import (
-    NodeParameters,
-    check_crs,
-    check_possible,
-    parameters_from,
-    roads_named,
-)
+from ..parameters.values import check_crs, parameters_from, roads_named
 from ..recordings.plan_file import SavedPlan
 from .gate import Gate
 from .plan_from_file import planned_parameters, read_plan_for_node
@@ -35,22 +28,19 @@ _MAX_INT64 = 2**63 - 1
 
 
 class NodeSettings:
-    """The parameters of a node, all of which this declares.
+    """The parameters of a node, all of which this declares; ``current`` are their values.
 
-    The changes of one request must be possible for some values of the other parameters. They may
-    contradict the present values, for instance while ``ros2 param load`` sets one parameter after
-    the other; then ``current`` keeps the last values that agreed, and ``contradiction`` is the
-    reason, with which ``changed`` is called after each change. A file with roads is read now. With
-    ``parameters.locked`` changes are refused while the ``gate`` is open.
-
-    ``saved`` is the plan that the node starts from, if it is given one; its options are set first.
+    Changes that contradict each other or the present values are refused: what depends on each other
+    is set in one request. With ``parameters.locked`` changes are refused while the ``gate`` is
+    open. A file with roads is read now. ``saved`` is the plan that the node starts from, if it is
+    given one; its options are set first.
 
     Raises InvalidOption if the initial values are invalid as a set, and
     rclpy.exceptions.ParameterException if one has the wrong type or is out of its range.
     """
 
-    def __init__(self, node: Node, gate: Gate, changed: Callable[[str], None]) -> None:
-        self._node, self._gate, self._changed = node, gate, changed
+    def __init__(self, node: Node, gate: Gate) -> None:
+        self._node, self._gate = node, gate
         node.declare_parameters(
             '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
         )
@@ -62,46 +52,33 @@ class NodeSettings:
             self._roads = (self.saved.plan.options.network.roads if self.saved else
                            roads_named(values))
             self.current = parameters_from(values, self._roads)
-        self.contradiction = ''
         node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._update)
-
-    def agreeing(self) -> NodeParameters:
-        """Return the values; raises InvalidOption while they contradict each other."""
-        if self.contradiction:
-            raise InvalidOption(self.contradiction)
-        return self.current
 
     def _values(self) -> dict[str, Any]:
         planned = self.saved.parameters.values if self.saved else {}  # also what is no parameter
         return {**planned, **{name: self._node.get_parameter(name).value for name in PARAMETERS}}
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
-        """Check whether changes are possible together; unless locked, those of others are."""
+        """Refuse changes of locked parameters, and those that do not agree with all others."""
         locked = self._gate.is_open and self.current.values['parameters.locked']
         for change in changes:
             if locked and change.value != self._node.get_parameter(change.name).value:
                 return SetParametersResult(
                     successful=False, reason=f'{change.name} is read-only while the node is '
                     'active: parameters.locked is true')
-        ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
+        values = self._values() | {change.name: change.value for change in changes}
         try:
-            check_crs(ours)
-            check_possible(ours, self._roads)
+            check_crs(values)
+            parameters_from(values, self._roads)
         except InvalidOption as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=f'{error}; set parameters that '
+                                       'depend on each other in one call')
         return SetParametersResult(successful=True)
 
     def _update(self, _: list[Parameter]) -> None:
-        """Make the present values the current ones if they agree."""
-        self.contradiction = ''
-        try:
-            self.current = parameters_from(self._values(), self._roads)
-        except InvalidOption as error:
-            self.contradiction = ('requests are refused: parameters contradict each other: '
-                                  f'{error}')
-        self._changed(self.contradiction)
+        self.current = parameters_from(self._values(), self._roads)
 
 
 def _saved_plan(node: Node) -> SavedPlan | None:

@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import chain
 from threading import RLock
 
@@ -25,7 +26,7 @@ from ..routes.driven_path import Ends
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .gate import Gate
-from .trip import Suits, Trip, how
+from .trip import Match, Trip, match
 
 # Least spacing that is expected of a plan that is being solved [m].
 _LEAST_SPACING = 0.1
@@ -35,63 +36,21 @@ _MAX_PLANS, _MAX_BYTES, _OF_EDGE, _OF_CELL = 32, 150_000_000, 1100, 1
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """The task that a plan is solved for; equal if the plans are the same.
+class CachedPlan:
+    """A plan with the trip and the parameters that it was solved for.
 
-    The ``first`` plan of a trip has a plain network, which is then to be refined.
+    Those of a first plan, which has a plain network and is then refined, are not the trip's.
     """
 
-    trip: Trip
-    first: bool = False
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Task) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    @cached_property
-    def _key(self) -> tuple[object, ...]:
-        trip, planning = self.trip, self.trip.parameters.planning
-        limits = planning.strategy.time_limit, planning.max_gap, planning.network.refine
-        return trip.map, trip.start_xy, trip.goal_and_tolerance, trip.conditions, limits, self.first
-
-    @cached_property
-    def parameters(self) -> NodeParameters:
-        """The parameters of the solve."""
-        asked = self.trip.parameters
-        legs = len(self.trip.stops_xy) + 1
-        return asked.with_plain_network(legs) if self.first else asked
-
-    def request(self, warm: WarmStart | None) -> PlanRequest:
-        """Return what the worker is asked for."""
-        trip, parameters = self.trip, self.parameters
-        # Without the message that the map came in.
-        grid = OccupancyMap(trip.map.values, trip.map.resolution, trip.map.origin)
-        return PlanRequest(grid, parameters.occupancy, trip.start_xy, *trip.goal_and_tolerance,
-                           parameters.planning, trip.stops_xy, warm)
-
-    def will_suit(self, trip: Trip) -> bool:
-        """Return whether the plan will probably suit a trip."""
-        planning, limit = trip.parameters.planning, self.parameters.planning.strategy.time_limit
-        # The planner chooses a spacing that is at least the map's resolution.
-        spacing = planning.network.spacing or max(trip.map.resolution, _LEAST_SPACING)
-        suits = how(self.trip, trip, spacing, start_tolerance(planning, spacing))
-        return suits != Suits.NOT and limit == planning.strategy.time_limit
-
-
-@dataclass(frozen=True, eq=False)
-class CachedPlan:
-    """A plan with the task that it was solved for."""
-
     plan: Plan
-    task: Task
+    trip: Trip
+    parameters: NodeParameters
     ground: ChangedGround
 
     @property
-    def trip(self) -> Trip:
-        """The trip that the plan was solved for."""
-        return self.task.trip
+    def is_first(self) -> bool:
+        """Return whether the plan is to be refined."""
+        return self.parameters is not self.trip.parameters
 
     @property
     def as_solved(self) -> Fit:
@@ -107,21 +66,21 @@ class CachedPlan:
         """Return where routes for this trip begin and end [m]."""
         return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
 
-    def how(self, trip: Trip) -> Suits:
-        """Return how the plan suits a trip; a goal that was moved stays the same."""
+    def match(self, trip: Trip) -> Match:
+        """Return how well the plan suits a trip; a goal that was moved stays the same."""
         if self.goal_was_moved and trip.goal_xy != self.trip.goal_xy:
-            return Suits.NOT
-        return how(self.trip, trip, self.plan.spacing, self.plan.start_tolerance)
+            return Match.NONE
+        return match(self.trip, trip, self.plan.spacing, self.plan.start_tolerance)
 
     def fit(self, trip: Trip) -> Fit | None:
         """Return how one can depart from a trip's own place, if at all."""
-        suits = self.how(trip)
-        if suits > Suits.NEARLY or not self._allows(trip):
+        found = self.match(trip)
+        if found > Match.NEAR or not self._allows(trip):
             return None
-        fits = suits == Suits.EXACTLY or self.ground.connects(trip.map, self.ends(trip))
+        fits = found == Match.EXACT or self.ground.connects(trip.map, self.ends(trip))
         return Fit(self, trip) if fits else None
 
-    def joined(self, trip: Trip, at_any_value: bool) -> Fit | None:
+    def join(self, trip: Trip, at_any_value: bool) -> Fit | None:
         """Return how a robot that has moved joins this plan from where it is, if at all.
 
         Unless ``at_any_value``, that must not raise the value by more than ``strategy.max_gap``. On
@@ -176,16 +135,18 @@ class Fit:
 class PlanCache:
     """Plans by trip: kept, or solved in the worker process; thread-safe.
 
-    Methods that solve raise what a closed ``gate`` refuses them with, and QueueFull if too many
-    solves wait.
+    ``on_solved`` is called with each plan. Methods that solve raise what a closed ``gate`` refuses
+    them with, and QueueFull if too many solves wait.
     """
 
     def __init__(self, gate: Gate, logger: RcutilsLogger) -> None:
         self._logger = logger
+        self.on_solved: Callable[[CachedPlan], None] = lambda _: None
         self._plans: list[CachedPlan] = []  # the least recently used one first
         self._lock = RLock()
         self._losses = LatestLosses()
-        self.queue: SolveQueue[Task, CachedPlan] = SolveQueue(gate.check)
+        self.queue: SolveQueue[Trip, CachedPlan] = SolveQueue(
+            gate.check, lambda error: logger.warning(f'a plan was not refined: {error}'))
 
     def fit(self, trip: Trip, at_any_value: bool = False) -> Fit | None:
         """Return the nearest plan that suits a trip, else the nearest one that can be joined.
@@ -193,11 +154,11 @@ class PlanCache:
         ``at_any_value``: even if joining it raises the value much.
         """
         with self._lock:
-            suiting = sorted((each for each in self._plans if each.how(trip) != Suits.NOT),
+            suiting = sorted((each for each in self._plans if each.match(trip) != Match.NONE),
                              key=lambda one: one.trip.distance(trip))
             near = [each for each in suiting if trip.robot and each.trip.goal_xy == trip.goal_xy]
             tries = chain((each.fit(trip) for each in suiting),
-                          (each.joined(trip, at_any_value) for each in near[:1]))
+                          (each.join(trip, at_any_value) for each in near[:1]))
             fit = next(filter(None, tries), None)
             if fit is not None:
                 self._keep(fit.cached)
@@ -206,32 +167,42 @@ class PlanCache:
     def share_or_solve(self, trip: Trip) -> Future[CachedPlan]:
         """Share a solve for nearly this trip that waits or runs, or solve; check that it fits."""
         with self._lock:
-            suits = (task.trip for task in self.queue.keys if task.will_suit(trip))
-            return self.solve(next(suits, trip))
+            suiting = (each for each in self.queue.keys if _will_suit(each, trip))
+            return self.solve(next(suiting, trip))
 
     def solve(self, trip: Trip, *, background: bool = False) -> Future[CachedPlan]:
         """Solve for exactly this trip.
 
-        If the network is to be refined and no refined plan is known, on whichever map, this is a
-        first plan. A ``background`` solve is given up for the next one that somebody waits for.
+        If the network is to be refined and no refined plan is known, on whichever map, the outcome
+        is a first plan, and refined behind it. Then nobody waits any more, nor for a ``background``
+        solve: the next one that somebody waits for ends both.
         """
+        parameters, grid = trip.parameters, trip.map
+        wanted = [parameters]
         with self._lock:
-            known = next((each for each in self._plans if each.how(trip) == Suits.EXACTLY), None)
-            first = is_graded(trip.parameters.planning) and (known is None or known.task.first)
-            earlier = known if known and known.trip.map is not trip.map else None
-            return self._submit(Task(trip, first), earlier, background)
+            known = next((each for each in self._plans if each.match(trip) == Match.EXACT), None)
+            if is_graded(parameters.planning) and (known is None or known.is_first):
+                wanted.insert(0, parameters.with_plain_network(len(trip.stops_xy) + 1))
+            similar = known if known and known.trip.map is not trip.map else None
+            request = PlanRequest(
+                # Without the message that the map came in.
+                OccupancyMap(grid.values, grid.resolution, grid.origin), parameters.occupancy,
+                trip.start_xy, *trip.goal_and_tolerance, parameters.planning, trip.stops_xy,
+                WarmStart.of(similar.plan.trip) if similar else None,
+                wanted[0].planning if len(wanted) > 1 else None)
+            return self.queue.submit(trip, request, partial(self._solved, trip, iter(wanted)),
+                                     background)
 
-    def refine(self, cached: CachedPlan) -> Future[CachedPlan]:
-        """Solve again in the background, on a refined network.
+    def refine(self, first: CachedPlan) -> None:
+        """Refine a first plan in the background, unless it is being refined or has been."""
+        with self._lock:
+            if first in self._plans:
+                self.solve(first.trip, background=True)
 
-        Nobody needs the plan soon, and the robot's programs need the processor.
-        """
-        return self._submit(Task(cached.trip), cached, background=True, low_priority=True)
-
-    def adopt(self, task: Task, plan: Plan) -> CachedPlan:
-        """Keep a plan for a task."""
-        ground = ChangedGround(plan, task.trip.map, task.parameters.occupancy, self._losses)
-        cached = CachedPlan(plan, task, ground)
+    def adopt(self, plan: Plan, trip: Trip, parameters: NodeParameters) -> CachedPlan:
+        """Keep a plan for a trip."""
+        ground = ChangedGround(plan, trip.map, parameters.occupancy, self._losses)
+        cached = CachedPlan(plan, trip, parameters, ground)
         with self._lock:
             self._keep(cached)
         return cached
@@ -243,25 +214,37 @@ class PlanCache:
             for each in self._plans:
                 each.ground.forget_all_but(newest)
 
-    def _submit(self, task: Task, known: CachedPlan | None, background: bool,
-                low_priority: bool = False) -> Future[CachedPlan]:
-        """Solve, starting from a ``known`` plan for nearly the same."""
-        warm = WarmStart.of(known.plan.trip) if known else None
-        return self.queue.submit(task, task.request(warm), partial(self._solved, task),
-                                 background, low_priority)
+    def _solved(self, trip: Trip, wanted: Iterator[NodeParameters], plan: Plan) -> CachedPlan:
+        """Keep the plan; this happens before the future of its solve is done.
 
-    def _solved(self, task: Task, plan: Plan) -> CachedPlan:
-        """Keep the plan; this happens before the future of its solve is done."""
-        cached = self.adopt(task, plan)
+        A first plan that is known and as good stays: robots may be on their way on it.
+        """
+        parameters = next(wanted)
+        with self._lock:
+            known = next((each for each in self._plans if each.trip == trip), None)
+        if known and parameters is not trip.parameters and known.plan.value <= plan.value:
+            return known
+        cached = self.adopt(plan, trip, parameters)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.value:.6g}, '
                           f'{len(plan.network.points)} nodes')
+        self.on_solved(cached)
         return cached
 
     def _keep(self, cached: CachedPlan) -> None:
         """Make a plan the most recently used one, and drop the oldest beyond the limits."""
-        others = [each for each in self._plans if each.how(cached.trip) != Suits.EXACTLY]
+        others = [each for each in self._plans if each.match(cached.trip) != Match.EXACT]
         taken = np.cumsum([
             _OF_EDGE * len(each.plan.network.edges) + _OF_CELL * each.trip.map.values.size
             for each in (cached, *reversed(others))])
         kept = min(_MAX_PLANS, max(1, int((taken <= _MAX_BYTES).sum())))
         self._plans = [*others, cached][-kept:]
+
+
+def _will_suit(solved: Trip, trip: Trip) -> bool:
+    """Return whether a plan that is being ``solved`` for a trip will probably suit another one."""
+    planning = trip.parameters.planning
+    # The planner chooses a spacing that is at least the map's resolution.
+    spacing = planning.network.spacing or max(trip.map.resolution, _LEAST_SPACING)
+    limit = solved.parameters.planning.strategy.time_limit
+    return (match(solved, trip, spacing, start_tolerance(planning, spacing)) != Match.NONE
+            and limit == planning.strategy.time_limit)

@@ -32,9 +32,6 @@ def read_plan_for_node(path: str) -> SavedPlan:
         raise InvalidOption(f'plan: {error}') from error
     plan, occupancy = saved.plan, saved.parameters.occupancy
     risk_map = plan.own_map
-    if plan.few:
-        raise InvalidOption(f'plan {path} draws from {len(plan.few.paths)} routes, but the node '
-                            'draws from a whole strategy; plan without --routes')
     again = risk_from_occupancy(grid_values(risk_map, occupancy), risk_map.resolution,
                                 risk_map.origin, occupancy)
     free = ~risk_map.obstacles

@@ -12,17 +12,15 @@ from contextlib import ExitStack, suppress
 from typing import Any
 
 import rclpy
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
-from ..game.value.face_flows import HAS_HIGHSPY
+from ..game.value.growing_program import HAS_HIGHSPY
 from ..recordings.metadata import software_versions
 from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
@@ -85,8 +83,7 @@ class PlannerNode(LifecycleNode):
         self._recordings: list[Recordings] = []  # those of earlier configurations may still write
         self._transition_error: Exception | None = None
         self._gate = Gate()
-        self._settings = NodeSettings(self, self._gate,
-                                      lambda why: self._reporter.note('parameters', why))
+        self._settings = NodeSettings(self, self._gate)
         Bond(self, self._gate)
         current, logger = self._settings.current, self.get_logger()
         if current.values['seed'] >= 0:
@@ -228,13 +225,6 @@ class PlannerNode(LifecycleNode):
     def _wait_for_recordings(self) -> None:
         for each in self._recordings:
             each.wait(_LAST_RECORDINGS_TIME)
-
-    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters; the reason of a success says if they now contradict others."""
-        result = super().set_parameters_atomically(parameter_list)
-        if result.successful:  # rclpy drops the reason that a callback gives
-            result.reason = self._settings.contradiction
-        return result
 
     def _present(self) -> dict[str, Any]:
         present: dict[str, Any] = {'lifecycle': self._gate.state}

@@ -3,13 +3,9 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import resource
 import signal
 import sys
-from contextlib import suppress
-from typing import Any
 
 _M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # from glibc's malloc.h
 
@@ -23,7 +19,7 @@ def noted_signals() -> list[int]:
     """
     received: list[int] = []
 
-    def note(number: int, _: Any) -> None:
+    def note(number: int, _: object) -> None:
         received.append(number)
         if number == signal.SIGTERM:
             signal.signal(number, signal.SIG_DFL)
@@ -35,9 +31,13 @@ def noted_signals() -> list[int]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
-    # There is nothing to end during the imports, which take a second.
+    # There is nothing to end during the imports, which take a second and so come after this.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
+    import ctypes
+    import resource
+    from contextlib import suppress
+
     # A core dump would hold routes and the sources of their draw.
     resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
     with suppress(AttributeError):  # not glibc

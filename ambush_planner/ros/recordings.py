@@ -67,10 +67,10 @@ class Recordings:
         self._thread.start()
 
     @property
-    def waits(self) -> float:
-        """For how long a departure has been waiting for a disk that hangs [s]; 0 if none has."""
-        waits = time.monotonic() - self._begun
-        return waits if self._unwritten and waits > _MAX_WAIT else 0.0
+    def hung_for(self) -> float:
+        """Return for how long the disk has written nothing that waits for it [s]; 0: it writes."""
+        silent = time.monotonic() - self._begun
+        return silent if self._unwritten and silent > _MAX_WAIT else 0.0
 
     def has_room(self, waited: float) -> bool:
         """Return whether a departure may be drawn now that has ``waited`` for room [s].
@@ -78,7 +78,7 @@ class Recordings:
         So that there is no wait between a draw and the departure, ask before. A hung disk has
         room: it makes no difference to wait longer.
         """
-        return bool(len(self._unwritten) < _MAX_WAITING or self.waits
+        return bool(len(self._unwritten) < _MAX_WAITING or self.hung_for
                     or (waited > _MAX_WAIT and not self._options.required))
 
     def publish(self, departure: Departure, leave: Callable[[], None]) -> Future[None]:
@@ -94,7 +94,7 @@ class Recordings:
             if not self._options.enabled or queued.left.exception():
                 return queued.left
         with self._condition:
-            if len(self._unwritten) < _MAX_WAITING and not (required and self.waits):
+            if len(self._unwritten) < _MAX_WAITING and not (required and self.hung_for):
                 if not self._unwritten:
                     self._begun = time.monotonic()
                 self._unwritten.append(queued)
@@ -103,18 +103,18 @@ class Recordings:
         self._failed(queued, self._hung(f'departure {departure.number} is not recorded'))
         return queued.left
 
-    def refuse(self, error: AmbushPlannerError | None = None) -> int:
-        """Refuse the departures that must be recorded first and are not yet; return their number.
+    def refuse(self, error: AmbushPlannerError | None = None) -> bool:
+        """Refuse the departures that must be recorded first and are not yet; False: there are none.
 
         Without an ``error``, only if the disk hangs.
         """
-        if not self._options.required or not (error or self.waits):
-            return 0
+        if not self._options.required or not (error or self.hung_for):
+            return False
         refused = [each for each in list(self._unwritten) if self._settle(each)]
         for each in refused:
             self._failed(each, error or self._hung(f'departure {each.departure.number} is refused'),
                          report=error is None)
-        return len(refused)
+        return bool(refused)
 
     def finish(self) -> None:
         """Write the waiting departures, then end."""
@@ -159,7 +159,7 @@ class Recordings:
         held = queued.departure.held
         try:
             if held.plan not in self._plan_files:
-                crs = held.task.parameters.occupancy.crs
+                crs = held.parameters.occupancy.crs
                 self._plan_files[held.plan] = attachments_of(held.plan, crs)
             path = self._recorder.record_departure(
                 recorded_messages(queued.departure, self._full_name),

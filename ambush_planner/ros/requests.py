@@ -24,7 +24,7 @@ from .conversions import fields_of
 from .departure_record import Answer
 from .dispatcher import Dispatcher
 from .errors import ErrorBoundary, send_until_known
-from .serial_executor import started
+from .serial_executor import future_of
 from .topics import REQUESTS
 from .trip import TripRequest
 
@@ -43,7 +43,7 @@ class Requests:
         self._node, self._error_boundary, self._dispatcher = node, error_boundary, dispatcher
         planning = MutuallyExclusiveCallbackGroup()
         self._serve(Trigger, '~/new_route', lambda request: self._ask(
-            Trigger, '~/new_route', request, self._dispatcher().inputs.latest(), 'topics'),
+            Trigger, '~/new_route', request, self._dispatcher().inputs.latest_request(), 'topics'),
                     self._new_route_response, planning)
         self._serve(GetPlan, '~/get_plan', self.start_plan,
                     lambda answer: GetPlan.Response(plan=answer.path.message), planning)
@@ -57,8 +57,8 @@ class Requests:
         """Ask for a path between the poses of a request, for a ``client`` with one goal."""
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
-        trip = self._dispatcher().inputs.given(request.start, request.goal, request.tolerance,
-                                               stops or PoseArray())
+        trip = self._dispatcher().inputs.request_between(
+            request.start, request.goal, request.tolerance, stops or PoseArray())
         return self._ask(GetPlan, '~/get_plan', request, trip, client)
 
     def _serve(self, kind: Any, name: str, start: Callable[[Any], Future[_Result]],
@@ -69,7 +69,7 @@ class Requests:
         the executor, and one that awaits it is polled, which takes a whole core.
         """
         service: Any = self._node.create_service(
-            kind, name, lambda request, _: started(partial(start, request)), qos_profile=REQUESTS,
+            kind, name, lambda request, _: future_of(partial(start, request)), qos_profile=REQUESTS,
             callback_group=group,
         )
         send = partial(send_until_known, service.send_response)
@@ -89,8 +89,8 @@ class Requests:
             partial(respond, header)
         )
 
-    def _cancel(self, _: Trigger.Request) -> Future[tuple[int, int]]:
-        done: Future[tuple[int, int]] = Future()
+    def _cancel(self, _: Trigger.Request) -> Future[bool]:
+        done: Future[bool] = Future()
         done.set_result(self._dispatcher().cancel())
         return done
 
@@ -113,12 +113,9 @@ def _replan_response(plan: Plan) -> Trigger.Response:
                     f'{plan.trip.gap:.3g}, {len(plan.network.points)} nodes')
 
 
-def _cancel_response(counts: tuple[int, int]) -> Trigger.Response:
-    solves, departures = counts
-    parts = [*(['the solve was cancelled' if solves == 1 else f'{solves} solves were cancelled']
-               if solves else []),
-             *([f'{departures} departures no longer wait for the disk'] if departures else [])]
-    return _success('; '.join(parts)) if parts else _failure('no solve is running')
+def _cancel_response(ended: bool) -> Trigger.Response:
+    return (_success('cancelled: solves, and departures that wait for the disk') if ended else
+            _failure('no solve is running'))
 
 
 def _success(message: str) -> Trigger.Response:

@@ -29,7 +29,8 @@ class RobotTrip:
     """A trip as a robot ``asked`` for it: its departure or the last of its ``diversions``.
 
     It keeps no map: ``plan`` is that of the plan cache, and gone with it. The ``route`` is the
-    whole one. ``moment`` is when the robot has made progress, by the clock and by TF [s].
+    full one, also of a diversion. ``moment`` is when the robot last made progress, by the node's
+    clock and by TF [s].
     """
 
     track: TripUnderWay

@@ -13,7 +13,7 @@ from ..worker.solve_errors import shutting_down
 _Result = TypeVar('_Result')
 
 
-def started(work: Callable[[], Future[_Result]]) -> Future[_Result]:
+def future_of(work: Callable[[], Future[_Result]]) -> Future[_Result]:
     """Start work; an error becomes the exception of the future."""
     try:
         return work()

@@ -50,7 +50,8 @@ class Trip:
     """A request located on a map; poses and positions [m] are in the map's frame.
 
     The ``request`` has a start: that of the robot, if none was given. ``robot`` is the frame in
-    which the start was given, if that moves in the map's frame; '' for a fixed place.
+    which the start was given, if that moves in the map's frame; '' for a fixed place. Trips are
+    equal if they have the same plan.
     """
 
     map: CurrentMap
@@ -61,6 +62,18 @@ class Trip:
     goal_xy: Position
     stops_xy: tuple[Position, ...] = ()
     robot: str = ''
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Trip) and self._solved_for == other._solved_for
+
+    def __hash__(self) -> int:
+        return hash(self._solved_for)
+
+    @cached_property
+    def _solved_for(self) -> tuple[object, ...]:
+        planning = self.parameters.planning
+        limits = planning.strategy.time_limit, planning.max_gap, planning.network.refine
+        return self.map, self.start_xy, self.goal_and_tolerance, self.conditions, limits
 
     @property
     def parameters(self) -> NodeParameters:
@@ -101,7 +114,7 @@ class Trip:
         return max(math.dist(self.start_xy, other.start_xy),
                    math.dist(self.goal_xy, other.goal_xy))
 
-    def out_of_obstacle(self) -> Trip:
+    def leave_obstacle(self) -> Trip:
         """Return the trip of a robot in the inflation of a costmap, from where it can drive out."""
         if not self.robot or self.parameters.values['map.preset'] == 'alpha':
             return self
@@ -124,26 +137,26 @@ def seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-class Suits(IntEnum):
-    """Fit of a plan for another trip: as it is, by moved ends, by being joined, or not."""
+class Match(IntEnum):
+    """Fit of a plan for another trip: as it is, by moved ends, by being joined, or none."""
 
-    EXACTLY, NEARLY, JOINED, NOT = range(4)
+    EXACT, NEAR, JOINED, NONE = range(4)
 
 
-def how(planned: Trip, trip: Trip, spacing: float, tolerance: float) -> Suits:
-    """Return how a plan suits a trip, as far as the trip that it was ``planned`` for shows.
+def match(planned: Trip, trip: Trip, spacing: float, tolerance: float) -> Match:
+    """Return how well a plan suits a trip, as far as the trip that it was ``planned`` for shows.
 
     Its nodes are ``spacing`` apart, and start and goal may be ``tolerance`` away from its own [m].
     A robot may join routes to its goal from the region around their start; on roads, from within
     the tube, since other ways could leave the road.
     """
     if not trip.map.same_ground(planned.map) or trip.conditions != planned.conditions:
-        return Suits.NOT
+        return Match.NONE
     away, same_goal = planned.distance(trip), planned.goal_xy == trip.goal_xy
     if away == 0.0:
-        return Suits.EXACTLY
+        return Match.EXACT
     if away <= tolerance:
-        return Suits.NEARLY
+        return Match.NEAR
     planning = planned.parameters.planning
     region = strays(planning, spacing) if planning.network.roads else REGION * spacing
-    return Suits.JOINED if trip.robot and same_goal and away <= region else Suits.NOT
+    return Match.JOINED if trip.robot and same_goal and away <= region else Match.NONE

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from ..errors import AmbushPlannerError, TimeLimit
 from ..planning.plan import Plan, PlanRequest
-from ..planning.trip import plan_from_request
+from ..planning.trip import Finished, plan_from_request
 from .solve_errors import WorkerFailed, no_plan_in, unexpected
 
 PICKLE_PROTOCOL = 5
@@ -51,17 +51,22 @@ def serve(connection: socket.socket) -> None:
         Path('/proc/self/oom_score_adj').write_text(_OOM_SCORE)
     with suppress(EOFError, ConnectionError), connection.makefile('rwb') as stream:
         socket.send_fds(connection, [b'.'], [os.pidfd_open(os.getpid())])
-        while True:
-            request, low_priority = pickle.load(stream)
-            if low_priority:
-                _lower_priority()
-            pickle.dump(_answer(request), stream, PICKLE_PROTOCOL)
+
+        def send(answer: Plan | AmbushPlannerError) -> None:
+            pickle.dump(answer, stream, PICKLE_PROTOCOL)
             stream.flush()
 
+        def send_first(plan: Plan) -> None:
+            send(plan)
+            _lower_priority()
 
-def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
+        while True:
+            send(_answer(pickle.load(stream), send_first))
+
+
+def _answer(request: PlanRequest, finished: Finished) -> Plan | AmbushPlannerError:
     try:
-        return plan_from_request(request)
+        return plan_from_request(request, finished)
     except TimeLimit as late:
         if late.strategy is None:
             return no_plan_in(request.options.strategy.time_limit)

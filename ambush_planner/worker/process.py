@@ -20,8 +20,6 @@ from ..planning.plan import Plan, PlanRequest
 from .child import PICKLE_PROTOCOL
 from .solve_errors import WorkerFailed, no_plan_in
 
-# Maximum time of the worker's start [s]; imports from a cold disk are slow.
-_MAX_START = 60.0
 # Grace period before killing a solve that overran its limit: a factor, and seconds to add.
 _GRACE, _MARGIN = 1.2, 2.0
 _LONGEST = 2e6  # time-out that a socket takes [s]
@@ -108,40 +106,55 @@ class WorkerProcess:
         ends.register(self._socket, POLLHUP)
         return not ends.poll(0)
 
-    def solve(self, request: PlanRequest, low_priority: bool = False) -> Plan:
-        """Solve a request, in little more than the strategy's ``time_limit``.
+    def solve(self, request: PlanRequest) -> Plan:
+        """Return the plan that is wanted first, in little more than the strategy's ``time_limit``.
 
-        A process cannot leave ``low_priority``, so it is killed after such a solve.
+        If that is not the last one of the request, ``next_plan`` has to be called.
 
         Raises the errors of ``plan_from_request``; TimeLimit if the solve overran its limit and was
         killed; WorkerFailed if the process died.
         """
-        limit = request.options.strategy.time_limit
-        late = no_plan_in(limit)
         if self._pidfd is None:
             self._begin()
-        with self._killed_after(_GRACE * limit + _MARGIN, late, _KILLED):
-            pickle.dump((request, low_priority), self._stream, PICKLE_PROTOCOL)
-            self._stream.flush()
-            answer: Plan | AmbushPlannerError = pickle.load(self._stream)
-        if low_priority:
+        return self._received(request, sends=True)
+
+    def next_plan(self, request: PlanRequest) -> Plan:
+        """Return the plan of the request's options after its first one; raises as ``solve`` does.
+
+        It is solved with low priority, which a process cannot leave: it is killed.
+        """
+        try:
+            return self._received(request, sends=False)
+        finally:
             self.kill()
+
+    def _received(self, request: PlanRequest, sends: bool) -> Plan:
+        """Return the next plan of a request, which this ``sends`` before."""
+        limit = request.options.strategy.time_limit
+        self._socket.settimeout(min(_GRACE * limit + _MARGIN, _LONGEST))
+        try:
+            if sends:
+                pickle.dump(request, self._stream, PICKLE_PROTOCOL)
+                self._stream.flush()
+            answer: Plan | AmbushPlannerError = pickle.load(self._stream)
+        except (OSError, EOFError, pickle.UnpicklingError) as error:
+            self.kill()
+            late = isinstance(error, TimeoutError)
+            raise (no_plan_in(limit) if late else WorkerFailed(_KILLED)) from error
         if isinstance(answer, AmbushPlannerError):
             raise answer
         return answer
 
     def _begin(self) -> None:
-        """Wait until the process has started; a parent that takes too long is replaced."""
-        slow = WorkerFailed(f'the worker process did not start in {_MAX_START:g} s')
-        try:
-            with self._killed_after(_MAX_START, slow, _NOT_STARTED):
-                _, descriptors, _, _ = socket.recv_fds(self._socket, 1, 1)
-                if not descriptors:
-                    raise EOFError
-                self._pidfd = descriptors[0]
-        except WorkerFailed:
+        """Wait until the process has started; the parent of one that does not is replaced."""
+        descriptors: list[int] = []
+        with suppress(OSError):
+            descriptors = socket.recv_fds(self._socket, 1, 1)[1]
+        if not descriptors:
+            self.kill()
             self._parent.close()
-            raise
+            raise WorkerFailed(_NOT_STARTED)
+        self._pidfd = descriptors[0]
 
     def kill(self) -> None:
         """Kill the process; a waiting ``solve`` raises WorkerFailed."""
@@ -161,17 +174,3 @@ class WorkerProcess:
                 wait([self._pidfd])
                 os.close(self._pidfd)
                 self._pidfd = None
-
-    @contextmanager
-    def _killed_after(self, seconds: float, late: AmbushPlannerError,
-                      died: str) -> Iterator[None]:
-        """Kill the process and raise ``late`` if it does not answer within ``seconds``.
-
-        WorkerFailed says ``died`` if the process ends before.
-        """
-        self._socket.settimeout(min(seconds, _LONGEST))
-        try:
-            yield
-        except (OSError, EOFError, pickle.UnpicklingError) as error:
-            self.kill()
-            raise (late if isinstance(error, TimeoutError) else WorkerFailed(died)) from error

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -29,31 +28,36 @@ _Result = TypeVar('_Result')
 class _Solve(Generic[_Key, _Result]):
     """A waiting or running solve; ``cancelled`` is the reason if it was cancelled.
 
-    ``waiters`` callers wait for its outcome. Without any it is a background solve.
+    ``waiters`` callers wait for its outcome. Without any it is a background solve, as is what
+    ``refines`` a plan that callers have.
     """
 
     key: _Key
     request: PlanRequest
     finish: Callable[[Plan], _Result]
-    low_priority: bool
     waiters: int = 0
     outcome: Future[_Result] = field(default_factory=Future)
-    begin: float = 0.0
     cancelled: str = ''
 
     @property
+    def refines(self) -> bool:
+        return self.outcome.done()
+
+    @property
     def background(self) -> bool:
-        return not self.waiters
+        return self.refines or not self.waiters
 
 
 class SolveQueue(Generic[_Key, _Result]):
     """Passes solves to one worker process, which it replaces if it died.
 
-    ``check`` raises what solves are refused with, if they are.
+    ``check`` raises what solves are refused with, if they are; ``report`` gets the error of a
+    refinement that failed, whose callers have the first plan.
     """
 
-    def __init__(self, check: Callable[[], None]) -> None:
-        self._check = check
+    def __init__(self, check: Callable[[], None],
+                 report: Callable[[AmbushPlannerError], None] = lambda _: None) -> None:
+        self._check, self._report = check, report
         self._condition = Condition()
         self._waiting: dict[_Key, _Solve[_Key, _Result]] = {}
         self._running: _Solve[_Key, _Result] | None = None
@@ -65,16 +69,17 @@ class SolveQueue(Generic[_Key, _Result]):
 
     @property
     def activity(self) -> tuple[bool, bool]:
-        """Return whether solves run or wait: of normal, and of low priority."""
+        """Return whether solves run or wait, and whether a plan is refined or is to be."""
         with self._condition:
-            low = {each.low_priority for each in self._unfinished}
-            return False in low, True in low
+            refines = {each.refines for each in self._unfinished}
+            return False in refines, True in refines
 
     @property
     def keys(self) -> list[_Key]:
         """The keys of the solves that can be shared, the running one first."""
         with self._condition:
-            return [each.key for each in self._unfinished if not each.cancelled]
+            return [each.key for each in self._unfinished
+                    if not (each.cancelled or each.refines)]
 
     @property
     def _unfinished(self) -> list[_Solve[_Key, _Result]]:
@@ -82,20 +87,19 @@ class SolveQueue(Generic[_Key, _Result]):
         return [*running, *self._waiting.values()]
 
     def submit(self, key: _Key, request: PlanRequest, finish: Callable[[Plan], _Result],
-               background: bool = False, low_priority: bool = False) -> Future[_Result]:
+               background: bool = False) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
 
+        If the request wants a ``first`` plan, that is the outcome, and refined in the background.
         The future raises the errors of ``WorkerProcess.solve``, or SolveCancelled.
 
         Parameters
         ----------
         finish
-            Makes the outcome from the plan, in the queue's thread.
+            Makes the outcome from a plan, in the queue's thread; it is called with each plan.
         background
             No caller waits for it: it runs after all others, and the next solve of any kind
             replaces it, unless it is for the same key.
-        low_priority
-            The worker leaves the processor to other processes.
 
         Raises what the queue refuses solves with, and QueueFull if too many wait.
         """
@@ -104,13 +108,14 @@ class SolveQueue(Generic[_Key, _Result]):
             if self._closed:
                 raise shutting_down()
             solve = next((each for each in self._unfinished
-                          if each.key == key and not each.cancelled), None)
+                          if each.key == key and not each.cancelled
+                          and (background or not each.refines)), None)
             superseded: list[_Solve[_Key, _Result]] = []
             if solve is None:
                 if not background:
                     self._check_room()
                 superseded = self._end_background(running=not background)
-                solve = _Solve(key, request, finish, low_priority)
+                solve = _Solve(key, request, finish)
                 self._waiting[key] = solve
                 self._condition.notify()
             solve.waiters += not background
@@ -120,7 +125,8 @@ class SolveQueue(Generic[_Key, _Result]):
     def withdraw(self, outcome: Future[_Result]) -> None:
         """A caller no longer waits for ``outcome``: end its solve if nobody else does."""
         with self._condition:
-            here = [each for each in self._unfinished if each.outcome is outcome]
+            here = [each for each in self._unfinished
+                    if each.outcome is outcome and not each.refines]
             for solve in here:
                 solve.waiters -= 1
             ended = [solve for solve in here if not solve.waiters]
@@ -129,14 +135,14 @@ class SolveQueue(Generic[_Key, _Result]):
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
         _end(waited, _WITHDRAWN)
 
-    def cancel(self, why: str) -> int:
-        """Cancel all solves; return their number."""
+    def cancel(self, why: str) -> bool:
+        """Cancel all solves; False: there are none."""
         with self._condition:
             waiting, self._waiting = list(self._waiting.values()), {}
             running = self._running is not None and not self._running.cancelled
             self._end_running(why)
         _end(waiting, why)
-        return len(waiting) + running
+        return running or bool(waiting)
 
     def close(self) -> None:
         """Cancel all solves and end the worker process."""
@@ -161,11 +167,8 @@ class SolveQueue(Generic[_Key, _Result]):
         # If none is running, the first waiting solve is about to begin.
         if waiting - (running is None) < _MAX_WAITING:
             return
-        since = f' (for {time.monotonic() - running.begin:.1f} s)' if running else ''
-        raise QueueFull(
-            f'a solve is running{since} and {_MAX_WAITING} others are waiting; try again later, or '
-            'call cancel'
-        )
+        raise QueueFull(f'a solve is running and {_MAX_WAITING} others are waiting; try again '
+                        'later, or call cancel')
 
     def _end_running(self, why: str) -> None:
         if self._running is not None:
@@ -193,7 +196,6 @@ class SolveQueue(Generic[_Key, _Result]):
                 return None
             key = min(self._waiting, key=lambda key: self._waiting[key].background)
             self._running = self._waiting.pop(key)
-            self._running.begin = time.monotonic()
             return self._running
 
     def _answer(self, solve: _Solve[_Key, _Result]) -> None:
@@ -203,14 +205,22 @@ class SolveQueue(Generic[_Key, _Result]):
             worker = self._living_worker()
             if solve.cancelled:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
-            result = solve.finish(worker.solve(solve.request, solve.low_priority))
+            result = solve.finish(worker.solve(solve.request))
+            if solve.request.first:
+                with self._condition:
+                    if not solve.cancelled:
+                        solve.outcome.set_result(result)
+                solve.finish(worker.next_plan(solve.request))
         except Exception as raised:  # also MemoryError: callers wait for an outcome
             error = known(raised)
             if error is not raised and self._worker is not None:
                 self._worker.kill()
         with self._condition:
             self._running = None
-        if solve.cancelled:
+        if solve.outcome.done():
+            if error is not None and not solve.cancelled:
+                self._report(error)
+        elif solve.cancelled:
             solve.outcome.set_exception(SolveCancelled(solve.cancelled))
         elif error is not None:
             solve.outcome.set_exception(error)

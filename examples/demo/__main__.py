@@ -42,8 +42,8 @@ DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.1, 1.2, 1.5), (0.01, 0.1), 25.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,
-routes.png (the routes next to fixed ones), frontier.csv and frontier.png (what other budgets would
-buy) and node.log.
+routes.png (the routes next to fixed ones), frontier.csv (what other budgets would buy) and
+node.log.
 --json: {"verdict", "folder", "departures", "value", "lower_bound", "seconds"}
 """ + cli.EXIT_CODES
 
@@ -88,12 +88,11 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
                          lambda row: console.step(
                              f'detour {row.max_detour:g}, slack {row.risk_slack:g}: '
                              f'value {row.value:.4g}'), planned=trip)
-    write_frontier([folder / 'frontier.csv', folder / 'frontier.png'], rows, budgets.max_detour,
-                   budgets.risk_slack)
+    write_frontier(folder / 'frontier.csv', rows)
     total = console.seconds
     console.line(table(section, paths, seconds, total))
-    console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.png, '
-                 'frontier.csv, node.log and the recordings')
+    console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.csv, '
+                 'node.log and the recordings')
     console.result = {'folder': cli.place(folder), 'departures': options.departures,
                       'value': trip.value, 'lower_bound': trip.lower_bound,
                       'seconds': round(total, 1)}

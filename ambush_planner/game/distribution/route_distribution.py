@@ -64,9 +64,7 @@ class RouteDistribution:
         self.network, self.tolerance, self.exact = network, tolerance, legs.no_reentry
         self.chain, self.deadline, self._begun = MarkovChain(network, p), deadline, p > 0.0
         self._aim = DISTRIBUTION.aim if self.exact else DISTRIBUTION.early_aim
-        self._excess = self._accuracy(DISTRIBUTION.accuracy).excess
-        # A distribution may exceed its limits by the excess, but not a budget.
-        self._budget_rows = _budget_rows(legs, network.edge) / (1.0 - self._excess)
+        self._budget_rows = _budget_rows(legs, network.edge)
         self._entering = csr_matrix((0, len(p)))
         self._loss, self.cap = np.zeros(0), 0.0
         self.multipliers, self.prices = np.zeros(0), np.zeros(self._budget_rows.shape[0])
@@ -119,7 +117,9 @@ class RouteDistribution:
         start = (1.0 - later) * np.append(self.multipliers[sites], self.prices)
         early = not self.exact and not (self.good and self.rounds)
         accuracy = self._accuracy(DISTRIBUTION.early_accuracy if early else DISTRIBUTION.accuracy)
-        limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, self._budget_rows)))
+        # A distribution may exceed its limits by the excess, but not a budget.
+        budgets = self._budget_rows / (1.0 - accuracy.excess)
+        limits = csr_matrix(vstack((diags(1.0 / most[sites]) @ rows, budgets)))
         found = maximize_entropy(self.network, limits, past, start, accuracy, self.deadline)
         self.evaluations = found.evaluations
         if found.infeasible or not len(found.p):
@@ -132,7 +132,7 @@ class RouteDistribution:
             whole = ceiling(1.0, self.tolerance) / ceiling(1.0, self._aim * self.tolerance)
             log_z = self.network.distribution(limits.T @ multipliers)[0]
             self.entropy_bound = float(log_z + whole * self.multipliers.sum()
-                                       + self.prices.sum() / (1.0 - self._excess))
+                                       + self.prices.sum() / (1.0 - accuracy.excess))
         self.chain = MarkovChain(self.network, found.p)
         self.rounds += 1
         if self.rounds == 1 and not self.exact:

@@ -6,29 +6,28 @@
                               the shares of each leg's routes add up to 1,
 
 each route hit once by each site. The duals are the ambusher's strategy, the prices of the budgets,
-and what a route of each leg costs at the optimum. HiGHS' interior point method without crossover
-gives *central* duals, which price many routes at once; a vertex jumps from one extreme ambusher to
-another, but waits at few sites.
+and what a route of each leg costs at the optimum. The program stays in HiGHS' memory: routes join
+as columns, and sites as rows once a mixture's losses there come near the value.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, vstack
 
-from ...arrays import NEGLIGIBLE, FloatArray, IndexArray, sums
-from ...errors import SolverFailed
+from ...arrays import ROUNDING, FloatArray, IndexArray, sums
 from ..distribution.chain import RouteMixture
 from . import highs
+from .growing_program import ANY_SIMPLEX, GrowingProgram
 
-if TYPE_CHECKING:
-    from scipy.optimize import OptimizeResult
-
-# Share of the value from which on a site's losses are near it.
-NEAR = 0.9
+# Share of the largest loss from which on sites join the program.
+NEAR = 0.95
+# Share of the program's unit below which the value becomes its unit: the solver's tolerances are
+# relative to that.
+SMALL = 0.1
 
 
 class Mixture(NamedTuple):
@@ -67,13 +66,14 @@ class _Column(NamedTuple):
 
 
 class Mixtures:
-    """The routes that are known, each of a leg, and the sites (S,)."""
+    """The routes that are known, each of one of ``legs``, and the losses (S,) at the sites."""
 
-    def __init__(self) -> None:
-        self.loss, self._unit = np.zeros(0), 0.0
-        self._near = np.zeros(0, dtype=bool)
+    def __init__(self, legs: int) -> None:
+        self.loss, self._legs = np.zeros(0), legs
         self._columns: list[_Column] = []
         self._known: set[bytes] = set()
+        # The program has z in this unit, and these sites.
+        self._unit, self._sites = math.inf, np.zeros(0, dtype=np.int64)
 
     def add(self, route: IndexArray, leg: int, met: IndexArray, used_margin: float) -> bool:
         """Add a route, given by its edges, and the sites that it meets; return if it is new."""
@@ -88,63 +88,88 @@ class Mixtures:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
         met_by, count = csr_matrix(entering.T), len(self.loss)
         self.loss = np.append(self.loss, loss)
-        self._near = np.append(self._near, np.zeros(len(loss), dtype=bool))
         for k, each in enumerate(self._columns):
             more = np.unique(met_by[each.route].indices) + count
             self._columns[k] = each._replace(met=np.append(each.met, more))
 
     def value(self, shares: FloatArray) -> float:
         """The largest mean loss that a site causes a mixture with the given shares."""
-        known = self._columns[: len(shares)]  # routes may have joined since
-        weight = np.repeat(shares, [len(each.met) for each in known])
-        hits = sums(np.concatenate([each.met for each in known]), weight, len(self.loss))
-        return float((self.loss * hits).max(initial=0.0))
+        return float(self._losses(shares).max(initial=0.0))
 
     def law(self, shares: FloatArray) -> RouteMixture:
         """The routes, drawn with their shares."""
-        known = self._columns[: len(shares)]
+        known = self._columns[: len(shares)]  # routes may have joined since
         return RouteMixture([each.route for each in known], shares,
                             np.array([each.leg for each in known]))
 
-    def solve(self, precision: float, deadline: float = math.inf,
-              vertex: bool = False) -> Mixture:
-        """The mixture of least value, to a relative gap of ``precision``, with central duals.
+    def solve(self, deadline: float = math.inf) -> Mixture:
+        """The mixture of least value, a vertex of the program.
 
-        Or a ``vertex`` of the LP, which has few routes and few sites. A site has a row in the LP
-        once its losses have come near the value. Raises TimeLimit at ``deadline``
-        (``time.monotonic``), or SolverFailed.
+        Raises TimeLimit at ``deadline`` (``time.monotonic``), or SolverFailed.
         """
-        leg = np.array([each.leg for each in self._columns])
-        near, cap = self._near, math.inf
-        # In a unit near the value, to which the solver's tolerances are relative.
-        most = float(self.loss.max(initial=0.0)) or 1.0
-        unit = self._unit if self._unit > NEGLIGIBLE * most else most
-        met = [each.met for each in self._columns]
-        sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
-        hit = csr_matrix((self.loss[sites] / unit, (sites, column)), (len(self.loss), len(met)))
-        shares = 1.0 / np.bincount(leg)[leg]
-        losses = hit @ shares
+        leg, legs = np.array([each.leg for each in self._columns]), self._legs
+        if not len(self._sites):
+            self._begin(float(self.loss.max(initial=0.0)) or 1.0)
+            self._add_sites(self._losses(1.0 / np.bincount(leg)[leg]), 0.0)
+        self._add_columns()
         while True:
-            if cap < math.inf or not near.any():
-                near = near | (losses > min(NEAR * losses.max(initial=0.0), cap))
-            result = self._solve_on(hit[near], leg, precision, deadline, vertex)
-            shares, cap = np.maximum(result.x[:-1], 0.0), float(result.x[-1])
+            found = self._program.solve(deadline)
+            z, shares = found.x[0] * self._unit, np.maximum(found.x[1:], 0.0)
             shares /= np.bincount(leg, shares)[leg]
-            losses = hit @ shares
-            if not (losses > cap * (1.0 + precision))[~near].any():
+            losses = self._losses(shares)
+            if not self._add_sites(losses, z * (1.0 + ROUNDING) + ROUNDING * self._unit):
                 break
-        self._near = losses > NEAR * cap
-        self._unit = float(result.fun) * unit
-        duals, q = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0), np.zeros(len(near))
-        q[near], prices = np.split(duals, [np.count_nonzero(near)])
-        return Mixture(shares, q, prices * unit, np.asarray(result.eqlin.marginals) * unit)
+        q, (costs, prices) = np.zeros(len(self.loss)), found.duals[: 2 * legs].reshape(2, legs)
+        q[self._sites] = np.maximum(-found.duals[2 * legs :], 0.0)
+        mixture = Mixture(shares, q, np.maximum(-prices, 0.0) * self._unit, costs * self._unit)
+        if 0.0 < z < SMALL * self._unit:
+            self._begin(z)
+            self._add_sites(losses, 0.0)
+        return mixture
 
-    def _solve_on(self, hit: csr_matrix, leg: IndexArray, precision: float, deadline: float,
-                  vertex: bool) -> OptimizeResult:
-        """Solve the LP with the rows (R, C) of some sites."""
-        lp = mixture_lp(hit, leg, np.array([each.used_margin for each in self._columns]))
-        first = 'simplex' if vertex else 'interior_point'
-        result = highs.run_either(lp, first, deadline, False, precision)
-        if result.x is None:
-            raise SolverFailed('no mixture of the known routes is within the budgets')
-        return result
+    def _losses(self, shares: FloatArray) -> FloatArray:
+        known = self._columns[: len(shares)]
+        weight = np.repeat(shares, [len(each.met) for each in known])
+        hits = sums(np.concatenate([each.met for each in known]), weight, len(self.loss))
+        return np.asarray(self.loss * hits)
+
+    def _begin(self, unit: float) -> None:
+        """Begin the program again, without sites: z, and for each leg shares and a budget."""
+        self._unit, self._sites = unit, np.zeros(0, dtype=np.int64)
+        self._program, one = GrowingProgram(ANY_SIMPLEX, ROUNDING), np.ones(self._legs)
+        rows = self._program.add_rows(np.append(one, np.full(self._legs, -math.inf)),
+                                      np.append(one, one), csr_matrix((2 * self._legs, 0)))
+        self._program.add_columns(np.ones(1), np.zeros(1), np.array([math.inf]),
+                                  csr_matrix((1, len(rows))))
+
+    def _add_columns(self) -> None:
+        """Add the routes that are new to the program."""
+        first = self._program.columns - 1
+        new, none = self._columns[first:], np.zeros(len(self._columns) - first)
+        if not new:
+            return
+        leg, each = np.array([column.leg for column in new]), np.arange(len(new))
+        used = np.array([column.used_margin for column in new])
+        shares = csr_matrix((np.ones(len(new)), (each, leg)), (len(new), self._legs))
+        budgets = csr_matrix((used, (each, leg)), shares.shape)
+        self._program.add_columns(none, none, np.full(len(new), math.inf), csr_matrix(
+            hstack([shares, budgets, self._hit(first)[self._sites].T])))
+
+    def _add_sites(self, losses: FloatArray, least: float) -> bool:
+        """Let the sites join that cause more than ``least`` and nearly the most; True if any do."""
+        new = np.setdiff1d(np.flatnonzero(losses > max(least, NEAR * losses.max(initial=0.0))),
+                           self._sites)
+        if not len(new):
+            return False
+        known = self._hit(0)[new][:, : self._program.columns - 1]
+        self._program.add_rows(np.full(len(new), -math.inf), np.zeros(len(new)), csr_matrix(
+            hstack([csr_matrix(-np.ones((len(new), 1))), known])))
+        self._sites = np.append(self._sites, new)
+        return True
+
+    def _hit(self, first: int) -> csr_matrix:
+        """The losses (S, C) that the sites cause each route from ``first`` on, in the unit."""
+        met = [each.met for each in self._columns[first:]]
+        sites, column = np.concatenate(met), np.repeat(np.arange(len(met)), list(map(len, met)))
+        return csr_matrix((self.loss[sites] / self._unit, (sites, column)),
+                          (len(self.loss), len(met)))

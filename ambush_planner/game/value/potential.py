@@ -202,7 +202,7 @@ class Potential:
         """The model without discs at its optimum: links of the shortest-path tree are full."""
         links, faces = _Links(self.faces, self._budget), self.faces
         real, high = links.real, links.capacity[links.real]
-        links.columns = self._flows.add_columns(
+        links.columns = self._flows.add_arcs(
             self._rows[np.column_stack((faces.left, faces.right))[real]],
             np.tile([1.0, -1.0], (len(real), 1)), -faces.crossed[real].astype(np.float64),
             -high, high)
@@ -259,7 +259,7 @@ class Potential:
         face, disc = self._rows[self._face[pair]], self._part_row[self._part[pair]]
         rows = np.column_stack((np.where(up, face, disc), np.where(up, disc, face)))
         none, high = np.zeros(len(pair)), np.full(len(pair), POTENTIAL.endless)
-        columns = self._flows.add_columns(rows, np.tile([1.0, -1.0], (len(pair), 1)),
+        columns = self._flows.add_arcs(rows, np.tile([1.0, -1.0], (len(pair), 1)),
                                           none, none, high)
         self._joined, self._up = np.append(self._joined, pair), np.append(self._up, up)
         self._columns = np.append(self._columns, columns)
@@ -276,7 +276,7 @@ class Potential:
         flow = np.maximum(found.x[self._columns], 0.0) / 2.0
         ambush = np.bincount(site, flow, len(self._loss)) / self._loss
         total, gain = float(ambush.sum()), self._links.bridges - found.cost
-        potential = found.potential[self._rows]
+        potential = found.duals[self._rows]
         self._potential = potential - potential[0]
         self._points.append(_Point(self._potential, self._hits(self._potential),
                                    self._links.used_budget(self._potential)))
@@ -287,7 +287,7 @@ class Potential:
             self.price = 1.0 / (total * self._budget.limit)
             self._circulations = (self._scaled_circulation(found.x, total),)
         endless = bool((flow > POTENTIAL.endless * (0.5 - ROUNDING)).any())
-        return gain <= limited + self._precision and not endless
+        return gain <= limited + self._precision * self._links.margin and not endless
 
     def _scaled_circulation(self, x: FloatArray, total: float) -> Circulation:
         """The flow of a solution, divided by what adds up to 1 at the sites."""
@@ -337,7 +337,7 @@ class _Links:
     """The links of faces, with the shares of the budget that they take.
 
     ``real`` links have two faces; the others are bridges, and what all routes take for these is
-    ``bridges``.
+    ``bridges``. The shortest route leaves the ``margin``, or 1 if there is no budget.
     """
 
     columns: IndexArray
@@ -351,6 +351,7 @@ class _Links:
         self.real = np.flatnonzero(faces.left != faces.right)
         bridges = self.capacity * np.abs(faces.crossed)
         self.bridges = float(bridges[faces.left == faces.right].sum())
+        self.margin = budget.margin / budget.limit if budget.is_limited else 1.0
 
     def full_links(self) -> IndexArray:
         """Return the real links (K,) to begin with: 1 or -1 on shortest paths, else 0."""

@@ -4,7 +4,8 @@
 Column generation: the best mixture of the known routes of each leg gives an ambusher's strategy and
 prices of the budgets (``mixtures``). Pricing finds routes of each leg that cost less against these
 than those in use: first the shortest ones with every entry counted, then by label setting, which
-also proves bounds (``best_response``), against ambushers who wait at few sites.
+also proves bounds (``best_response``), but is slow. So it begins once the sites that matter are
+known, after ``rough`` rounds.
 """
 
 from __future__ import annotations
@@ -30,17 +31,10 @@ from .mixtures import Mixture, Mixtures
 class ColumnGeneration(NamedTuple):
     """The constants of the linear program over routes."""
 
-    loose: float = 5e-2  # relative gap of the master problems while routes join
-    tight: float = 1e-4  # the same once none does
+    # Relative gap at which rough rounds end, from what any routes cost if every entry counts.
+    rough: float = 0.02
     gain: float = 0.25  # share of the wanted gap by which a route must cost less to join
-    # Where sites can be met twice, it is at least this share of the open gap. After ``ROUNDS``
-    # rounds in which that falls by less than ``gain`` of the wanted gap, loose LPs become tight,
-    # and tight ones end.
-    open_gain: float = 0.5
     comparisons: int = 1_000_000  # of labels in a search
-    # Share of the largest site price below which label searches leave out sites. Few sites make a
-    # search fast, but each that is left out weakens it.
-    small: float = 3e-3
     apart: float = 0.25  # minimum distance of sites that join at once, as a share of the reach
 
 
@@ -58,6 +52,8 @@ class Routes:
         (S,) and has the ``prices`` (legs,) of the budgets.
     value : float
         That of the ``mixture`` found.
+    rough : bool
+        Whether ``solve`` ends near the least value, without a proof.
     """
 
     apart = ROUTES.apart
@@ -65,7 +61,7 @@ class Routes:
     def __init__(self, legs: Legs, gap: float) -> None:
         self.legs, self._gap, count = legs, gap, len(legs.games)
         self._margins = [budget.used_margin for budget in legs.budgets]
-        self._mixtures = Mixtures()
+        self._mixtures, self.rough = Mixtures(count), False
         self.bound, self.value, self._shares = 0.0, math.inf, np.zeros(0)
         self.q, self.prices = np.zeros(0), np.zeros(count)
         self.entering = csr_matrix((0, legs.edge_count))
@@ -126,43 +122,30 @@ class Routes:
     def solve(self, deadline: float) -> None:
         """Let routes join until the value is within the gap of the bound, or none costs less.
 
+        Or until the bound and the value have hardly come nearer to each other in ``ROUNDS`` rounds.
         Raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed; what was found
         until then counts.
         """
         if not len(self.loss):
             self.value = 0.0
             return
-        precision, tight, rounds = ROUTES.loose, min(ROUTES.tight, self._gap / 2.0), 0
-        open_gap, stalled, exact = math.inf, 0, self.legs.no_reentry
-        while True:
-            mixture = self._mixtures.solve(precision, deadline)
+        by_labels = not (self.rough or self.legs.no_reentry)
+        open_gap, stalled, by_entries = math.inf, 0, 0.0
+        while stalled <= ROUNDS:
+            mixture = self._mixtures.solve(deadline)
             self._shares = mixture.shares
             self.value = self._mixtures.value(self._shares)
-            if self._done(deadline):
+            if self._done(deadline) or self.rough and within(self.value, by_entries, ROUTES.rough):
                 return
-            rounds, stalled = rounds + 1, stalled + 1
+            stalled += 1
             if self.value - self.bound < open_gap - ROUTES.gain * self._gap * self.value:
                 open_gap, stalled = self.value - self.bound, 0
-            if stalled > ROUNDS and precision == tight:
+            least, joined = self._price(mixture, self._by_entries, deadline)
+            by_entries = max(by_entries, least)
+            if not joined and by_labels:
+                joined = self._price(mixture, self._by_labels, deadline)[1]
+            if self._done(deadline) or not joined:
                 return
-            duals = [mixture]
-            if precision == tight and not exact:
-                # Searches are faster and prove more for a vertex, which jumps: both take turns.
-                vertex = self._mixtures.solve(precision, deadline, vertex=True)
-                if not vertex.q.any():  # it meets no site
-                    self._shares, self.value = vertex.shares, self._mixtures.value(vertex.shares)
-                    return
-                duals = [mixture, vertex][:: 1 if rounds % 2 else -1]
-            searching = precision == tight and not exact
-            if any(searching and self._price(each, self._by_labels, deadline)
-                   or self._price(each, self._by_entries, deadline) for each in duals):
-                if self._done(deadline):
-                    return
-                if stalled <= ROUNDS:
-                    continue
-            if self._done(deadline) or precision == tight:
-                return
-            precision, stalled = tight, 0
 
     def _done(self, deadline: float) -> bool:
         rounding = ROUNDING * float(self.loss.max(initial=0.0))
@@ -172,47 +155,40 @@ class Routes:
             raise TimeLimit('the time limit passed before the value was proved')
         return False
 
-    def _price(self, mixture: Mixture, best_route: BestRoute, deadline: float) -> int:
-        """Add routes of each leg that cost less than those in use, and note what is proved."""
-        q, total = mixture.q, float(mixture.q.sum())
-        if not total > 0.0:
-            return 0
-        q, prices = q / total, mixture.prices / total
-        site_prices = q * self.loss
-        if best_route == self._by_labels:
-            site_prices = np.where(site_prices > ROUTES.small * site_prices.max(), site_prices, 0.0)
+    def _price(self, mixture: Mixture, best_route: BestRoute, deadline: float) -> tuple[float, int]:
+        """Add routes of each leg that cost less than those in use.
+
+        Returns what all legs cost at least, as ``best_route`` counts, and the number of new routes.
+        A proof is kept.
+        """
+        q, prices, site_prices = mixture.q, mixture.prices, mixture.q * self.loss
         # A route must cost less than what its leg pays, by its share of the gain.
-        gain = ROUTES.gain * self._gap
-        if self.bound > 0.0 and not self.legs.no_reentry:
-            gain = max(gain, ROUTES.open_gain * (1.0 - self.bound / self.value))
-        most = mixture.costs / total - gain * self.value / len(self._networks)
-        added, least = 0, 0.0
+        most = mixture.costs - ROUTES.gain * self._gap * self.value / len(self._networks)
+        added, least = 0, -float(prices.sum())
         for leg, network in enumerate(self._networks):
             base = prices[leg] * self._margins[leg]
             bound, route = best_route(network, base, site_prices, deadline)
             least += bound
             if route is not None and network.cost(route, base, site_prices) < most[leg]:
                 added += self.add_route(leg, route)
-        kept = np.where(site_prices > 0.0, q, 0.0)
-        bound, waits = least - float(prices.sum()), float(kept.sum())
-        if bound > self.bound * waits:
+        waits, proved = float(q.sum()), best_route == self._by_labels or self.legs.no_reentry
+        if proved and least > self.bound * waits:
             margins = np.array([budget.margin for budget in self.legs.budgets])
-            self.bound, self.q = bound / waits, kept / waits
+            self.bound, self.q = least / waits, q / waits
             self.prices = np.where(np.isfinite(margins), prices / margins, 0.0) / waits
-        return added
+        return least, added
 
     def _by_entries(self, network: Subnetwork, base: FloatArray, site_prices: FloatArray,
-                    deadline: float) -> tuple[float, IndexArray | None]:
-        """The shortest route with every entry counted; it proves a bound if entries are hits."""
+                    deadline: float) -> tuple[float, IndexArray]:
+        """The shortest route, and its cost, with every entry counted."""
         route = network.shortest(base, site_prices)
-        exact = self.legs.no_reentry
-        return network.cost(route, base, site_prices) if exact else -math.inf, route
+        return float(base[route].sum() + (site_prices @ network.hits)[route].sum()), route
 
     def _by_labels(self, network: Subnetwork, base: FloatArray, site_prices: FloatArray,
                    deadline: float) -> tuple[float, IndexArray | None]:
         return network.least_cost(base, site_prices, LABELS, deadline)
 
 
-# Finds a lower bound of the cost of a leg's routes, and a route that costs little.
+# Finds the least cost of a leg's routes, or a lower bound, and a route that costs little.
 BestRoute = Callable[[Subnetwork, FloatArray, FloatArray, float],
                      tuple[float, 'IndexArray | None']]
