@@ -21,14 +21,12 @@ from families import FAMILIES, Problem
 from one_run import Answer, run
 from report import conditions, new_parser, publish, table
 from scenarios import across, terrain
-from scipy.ndimage import gaussian_filter
 
 from ambush_planner import (
     DriveOptions,
     GameOptions,
     NetworkOptions,
     PlanningOptions,
-    RiskMap,
     StrategyOptions,
     plan_trip,
     read_risk_map,
@@ -45,17 +43,11 @@ TUBE = 0.1  # of the reach, with a uniform network
 # Names of families here, and of those of ``families`` that they are.
 DRAWN = {'hills': 'hills-obstacles', 'rough': 'rough-obstacles', 'open': 'hills-coarse',
          'corridor': 'corridor', 'walls': 'building', 'city': 'city', 'maze': 'maze'}
-# Maps that refine to large networks, with a reach of 5 m, 10 m secured and a detour of 1.15.
-SLOW = ('slow hills', 'slow rough', 'slow walls')
 
 
 def draw(family: str, seed: int) -> Problem:
     """The game of a family, or of a map by its path, that a seed draws."""
     rng = np.random.default_rng(seed)
-    if family in SLOW:
-        options = PlanningOptions(game=GameOptions(ambush_radius=5.0, secured_radius=10.0),
-                                  strategy=StrategyOptions(max_detour=1.15, time_limit=math.inf))
-        return Problem(across(_slow_map(family, rng), 0.06), options, (), 'reach 5 detour 1.15')
     if family in DRAWN:
         scenario = FAMILIES[DRAWN[family]](rng, CELLS)
     else:
@@ -70,26 +62,6 @@ def draw(family: str, seed: int) -> Problem:
                                                        time_limit=math.inf))
     words = f'reach {reach:.3g} held {secured:.3g} detour {detour:.3g}'
     return Problem(scenario, options, (), words)
-
-
-def _slow_map(family: str, rng: np.random.Generator) -> RiskMap:
-    """Waves or noise with obstacles on top, or noise with walls along the axes."""
-    shape = CELLS, CELLS
-    if family == 'slow hills':
-        y, x = (np.indices(shape) + 0.5) / CELLS
-        risk = sum(np.sin(7.0 * (a * x + b * y) + 3.0 * c) for a, b, c in rng.normal(size=(6, 3)))
-        obstacles = risk > np.quantile(risk, 0.92)
-    elif family == 'slow rough':
-        risk, other = (gaussian_filter(rng.normal(size=shape), size) for size in (6.0, 9.0))
-        obstacles = other > np.quantile(other, 0.9)
-    else:
-        obstacles = np.zeros(shape, dtype=bool)
-        for _ in range(26):
-            (x, y), length = rng.integers(10, CELLS - 10, 2), rng.integers(20, 60)
-            along, wide = slice(x, x + length), slice(y - 1, y + 1)
-            obstacles[(wide, along) if rng.random() < 0.5 else (along, wide)] = True
-        risk = gaussian_filter(rng.normal(size=shape), 10.0)
-    return RiskMap(1.0 + 9.0 * (risk - risk.min()) / np.ptp(risk), obstacles, 1.0)
 
 
 def planned(name: str, way: str) -> Answer:
@@ -148,7 +120,7 @@ def summary(rows: dict[tuple[str, str], Answer]) -> str:
 
 def main() -> None:
     parser = new_parser(__doc__)
-    families = [*DRAWN, *SLOW, 'terrain', 'yard']
+    families = [*DRAWN, 'terrain', 'yard']
     parser.add_argument('--family', nargs='+', default=families,
                         help=f"of {', '.join(families)}, or the path of a map")
     parser.add_argument('--seed', type=int, default=secrets.randbelow(10**9),

@@ -9,25 +9,18 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.task import Future
-from report import RESULTS, publish, quantiles
+from report import RESULTS, publish
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -35,6 +28,7 @@ from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.topics import REQUESTS
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
+from examples.demo.client import NoAnswer, NodeClient
 from examples.demo.node_process import NodeFailed, NodeProcess, free_domain
 
 PLANNER = '/ambush_planner'
@@ -50,101 +44,46 @@ ANSWER_TIMEOUT = 90.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class NodeSilent(Exception):
-    """The node did not do something in time."""
-
-
 class Refused(Exception):
     """The node refused a request."""
 
 
-@dataclass(frozen=True)
-class Rig:
-    """A running node: its process, its ROS domain and its folder."""
+class Caller(NodeClient):
+    """A ROS node in this process that calls a planner, which is a ``process`` with a ``folder``."""
 
-    process: NodeProcess
-    domain: int
-    folder: Path
-
-    @property
-    def log(self) -> str:
-        """The output of the node so far."""
-        return (self.folder / 'node.log').read_text(errors='replace')
-
-    @property
-    def recordings(self) -> Path:
-        return self.folder / 'recordings'
-
-
-@contextmanager
-def running_node(
-    parameters: Mapping[str, object], folder: Path | None = None
-) -> Iterator[Rig]:
-    """Run a node that records and logs in a folder, by default a temporary one."""
-    # Read by the middleware in this process, and inherited by the node's.
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    with tempfile.TemporaryDirectory(prefix='ambush_planner_') as name, free_domain() as domain:
-        folder = folder or Path(name)
-        os.environ['ROS_LOG_DIR'] = str(folder / 'log')
-        settings = {'recording.directory': str(folder / 'recordings'), **parameters}
-        with NodeProcess(settings, domain, folder / 'node.log') as process:
-            yield Rig(process, domain, folder)
-
-
-class Caller:
-    """A ROS node in this process that calls the planner; a context manager.
-
-    ``status`` holds the values of the latest diagnostics.
-    """
-
-    def __init__(self, rig: Rig) -> None:
-        self._rig = rig
+    def __init__(self, process: NodeProcess, domain: int, folder: Path) -> None:
+        super().__init__(domain, process.check)
+        self.process, self.folder = process, folder
         self._publishers: dict[str, Any] = {}
-        self.status: dict[str, str] = {}
 
     def __enter__(self) -> Caller:
-        self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=self._rig.domain)
-        self.node = rclpy.create_node('caller', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        super().__enter__()
         self._clients = {
             name: self.node.create_client(kind, f'{PLANNER}/{name}', qos_profile=REQUESTS)
             for name, kind in SERVICES.items()}
         # Answers are lost until the planner has discovered the client. It discovers what listens in
         # the order of its creation, so a report that arrives shows that it has.
-        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_status, 10)
+        self.listen()
         for name, client in self._clients.items():
-            self.wait(client.service_is_ready, f'the service {name}')
-        self.wait(lambda: self.status, 'the diagnostics')
+            self.wait(client.service_is_ready, f'no service {name}')
+        self.wait(lambda: self.status, 'no diagnostics')
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._executor.shutdown()
-        self.node.destroy_node()
-        rclpy.try_shutdown(context=self._context)
+    def wait(self, done: Callable[[], object], failure: str, timeout: float = TIMEOUT) -> None:
+        super().wait(done, failure, timeout)
 
     def publisher(self, kind: type, topic: str) -> Any:
         """A publisher to which the planner has subscribed."""
         if topic not in self._publishers:
             qos = LATCHED if kind is OccupancyGrid else 1
             made = self._publishers[topic] = self.node.create_publisher(kind, topic, qos)
-            self.wait(made.get_subscription_count, f'a subscription of {topic}')
+            self.wait(made.get_subscription_count, f'no subscription of {topic}')
         return self._publishers[topic]
 
-    def send(self, name: str, request: Any = None) -> Future:
-        """Call one of the ``SERVICES``; return the future of the answer."""
-        return self._clients[name].call_async(request or SERVICES[name].Request())
-
     def call(self, name: str, request: Any = None) -> Any:
-        """Call one of the ``SERVICES``; return the answer. Raises NodeSilent."""
-        future = self.send(name, request)
-        self.wait(future.done, f'an answer of {name}', ANSWER_TIMEOUT)
+        """Call one of the ``SERVICES``; return the answer. Raises NoAnswer."""
+        future = self._clients[name].call_async(request or SERVICES[name].Request())
+        self.wait(future.done, f'no answer of {name}', ANSWER_TIMEOUT)
         return future.result()
 
     def trigger(self, name: str) -> None:
@@ -160,10 +99,6 @@ class Caller:
             raise Refused('get_plan: no path')
         return path
 
-    def get_parameter(self, name: str = 'strategy.solver') -> None:
-        """Get a parameter, the cheapest request."""
-        self.call('get_parameters', GetParameters.Request(names=[name]))
-
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         """Set parameters together. Raises Refused."""
         request = SetParametersAtomically.Request(parameters=[
@@ -177,26 +112,27 @@ class Caller:
         self.publisher(OccupancyGrid, '/alpha_map').publish(grid)
         self.publisher(PoseStamped, '/start_pose').publish(start)
         self.publisher(PoseStamped, '/goal_pose').publish(goal)
-        self.wait(lambda: self.status.get('state') == 'ready', 'map, start and goal to be taken')
+        self.wait(lambda: self.status.get('state') == 'ready', 'map, start and goal were not taken')
 
     def idle_until(self, moment: float) -> None:
         """Process messages until ``time.monotonic()`` is ``moment``."""
         while (left := moment - time.monotonic()) > 0.0:
-            self._rig.process.check()
-            self._executor.spin_once(timeout_sec=left)
+            self.check()
+            self.executor.spin_once(timeout_sec=left)
 
-    def wait(self, done: Callable[[], object], what: str, timeout: float = TIMEOUT) -> None:
-        """Spin until ``done``; raises NodeSilent after the timeout, NodeFailed if the node ends."""
-        deadline = time.monotonic() + timeout
-        while not done():
-            self._rig.process.check()
-            if time.monotonic() > deadline:
-                raise NodeSilent(f'timed out after {timeout:g} s: {what}')
-            self._executor.spin_once(timeout_sec=0.05)
 
-    def _on_status(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            self.status = {value.key: value.value for value in status.values}
+@contextmanager
+def running_node(parameters: Mapping[str, object]) -> Iterator[Caller]:
+    """Run a node that records and logs in a temporary folder; yield its caller."""
+    # Read by the middleware in this process, and inherited by the node's.
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    with tempfile.TemporaryDirectory(prefix='ambush_planner_') as name, free_domain() as domain:
+        folder = Path(name)
+        os.environ['ROS_LOG_DIR'] = str(folder / 'log')
+        settings = {'recording.directory': str(folder / 'recordings'), **parameters}
+        with (NodeProcess(settings, domain, folder / 'node.log') as process,
+              Caller(process, domain, folder) as caller):
+            yield caller
 
 
 def rough_map(cells: int, resolution: float) -> OccupancyGrid:
@@ -239,11 +175,6 @@ def within(samples: Sequence[float], median: float, seldom: float) -> bool:
     return bool((np.quantile(samples, [0.5, 0.99]) < (median, seldom)).all())
 
 
-def spread(samples: Sequence[float]) -> str:
-    """Median / 99th percentile / largest of samples, as text."""
-    return quantiles(samples, 0.99)
-
-
 def say(text: str) -> None:
     """Print progress."""
     print(text, file=sys.stderr, flush=True)
@@ -255,7 +186,7 @@ def run_and_publish(
     """Publish the text of a measurement; return 0, 1 if a target was missed, 2 on failure."""
     try:
         text, met = measure()
-    except (NodeFailed, NodeSilent, Refused) as error:
+    except (NodeFailed, NoAnswer, Refused) as error:
         say(f'{block}: {error}')
         return 2
     publish(path, block, text)

@@ -15,7 +15,7 @@ import time
 import traceback
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from families import FAMILIES, draw
 from games import (
-    LP,
+    flow_value,
     hit_once,
     is_acyclic,
     may_wait,
@@ -31,12 +31,10 @@ from games import (
     neighbours,
     standing_places,
     unbalanced,
-    value_lp,
 )
-from peers import highs
 from report import conditions, new_parser, publish, quantiles, table
 from scenarios import Scenario
-from scipy.sparse import block_diag, csr_matrix, hstack, vstack
+from scipy.sparse import csr_matrix
 
 from ambush_planner import (
     BudgetInfeasible,
@@ -64,7 +62,6 @@ SAME = 1e-6  # relative difference of values that are computed twice
 LOOSE = 1e-5  # relative tolerance of HiGHS, and of the budget
 ROUTES = 20  # drawn from each strategy
 LIMIT = 60.0  # for a game [s]; what has been found by then is checked, too
-SLOW = 30.0  # games that are printed [processor seconds]
 NODES = 150, 3000
 METHODS = ('uniform_delaunay',) * 6 + (
     'lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay')
@@ -101,18 +98,17 @@ class Tally:
     failures: list[str] = field(default_factory=list)
 
 
-def draw_game(seed: int, kinds: Sequence[str] = KINDS) -> RandomGame | None:
+def draw_game(seed: int) -> RandomGame | None:
     """The game of this seed; None if its places are not connected."""
     rng = np.random.default_rng(seed)
-    kind = str(rng.choice(kinds))
+    kind = str(rng.choice(KINDS))
     nodes = int(math.exp(rng.uniform(*np.log(NODES))))
     if 'trip' in kind:
         nodes //= 3
     if 'road' in kind:
         networks = roads(rng, nodes, int(rng.integers(1, 5)) if kind == 'road trip' else 0)
         options = drawn_options(rng, networks[0], NetworkOptions())
-        return RandomGame(kind, networks, options,
-                          f'{words_of(seed, kind, networks[0], options)}, {len(networks)} legs')
+        return RandomGame(kind, networks, options, words_of(seed, kind, networks, options))
     problem = draw(f'{kind}:{rng.choice(list(FAMILIES))}:{nodes}:{seed}')
     chosen, stops = problem.scenario, problem.stops
     built = replace(problem.options.network, method=str(rng.choice(METHODS)), seed=seed,
@@ -124,8 +120,8 @@ def draw_game(seed: int, kinds: Sequence[str] = KINDS) -> RandomGame | None:
         return None
     options = drawn_options(rng, networks[0], built)
     planned = kind == 'plan' or len(stops) > 2
-    words = f'{words_of(seed, kind, networks[0], options)}, {len(networks)} legs'
-    return RandomGame(kind, networks, options, words, chosen if planned else None, stops)
+    return RandomGame(kind, networks, options, words_of(seed, kind, networks, options),
+                      chosen if planned else None, stops)
 
 
 def roads(rng: np.random.Generator, nodes: int, stops: int) -> tuple[Network, ...]:
@@ -164,12 +160,14 @@ def drawn_options(rng: np.random.Generator, network: Network,
     return replace(options, drive=replace(options.drive, tube=0.0))
 
 
-def words_of(seed: int, kind: str, network: Network, options: PlanningOptions) -> str:
-    game, strategy, spacing = options.game, options.strategy, float(np.median(network.lengths))
-    return (f'seed {seed}: {kind} {options.network.method} {len(network.points)} nodes, '
+def words_of(seed: int, kind: str, networks: tuple[Network, ...],
+             options: PlanningOptions) -> str:
+    game, strategy, spacing = options.game, options.strategy, float(np.median(networks[0].lengths))
+    return (f'seed {seed}: {kind} {options.network.method} {len(networks[0].points)} nodes, '
             f'reach {game.ambush_radius / spacing:.2g} spacings, secured '
             f'{game.secured_distance / spacing:.2g}, threshold {game.alpha_threshold:.3g}, '
-            f'detour {strategy.max_detour:.10g}, slack {strategy.risk_slack:g}')
+            f'detour {strategy.max_detour:.10g}, slack {strategy.risk_slack:g}, '
+            f'{len(networks)} legs')
 
 
 def play(game: RandomGame, tally: Tally) -> None:
@@ -192,12 +190,9 @@ def play(game: RandomGame, tally: Tally) -> None:
     tally.counts['late'] += trip.reason == 'time'
     gap = trip.value / max(trip.lower_bound, 1e-300) - 1.0 if trip.value else 0.0
     over = max(gap - game.options.strategy.risk_slack, 0.0)
-    tally.solved[kind_of(game)].append((seconds, over, game.words))
+    reach = 'a' if game.options.game.ambush_radius > 0.0 else 'no'
+    tally.solved[f'{game.kind}, {reach} reach'].append((seconds, over, game.words))
     tally.failures += [f'{game.words}: {fault}' for fault in faults(game, trip, tally)]
-
-
-def kind_of(game: RandomGame) -> str:
-    return f"{game.kind}, {'a' if game.options.game.ambush_radius > 0.0 else 'no'} reach"
 
 
 def faults(game: RandomGame, trip: TripStrategy, tally: Tally) -> Iterator[str]:
@@ -233,10 +228,9 @@ def met_by(leg: Strategy, hits: np.ndarray) -> np.ndarray:
                for route, share in zip(leg.mixture.routes, leg.mixture.shares, strict=True))
 
 
-def geometric_hits(network: Network, radius: float, secured: float | None = None,
-                   others: tuple[int, ...] = ()) -> csr_matrix:
-    """(N, M): edges that bring a route into the disc of a node; secured: as far as that."""
-    secured = radius if secured is None else secured
+def geometric_hits(network: Network, radius: float, secured: float,
+                   others: tuple[int, ...]) -> csr_matrix:
+    """(N, M): edges that bring a route into the disc of a node that is not secured."""
     near = meets(network, network.points, radius, secured, others)
     apart = np.linalg.norm(network.points[:, None] - network.points, axis=2)
     ends = [network.source, network.target, *others]
@@ -276,40 +270,16 @@ def wrong_values(game: RandomGame, trip: TripStrategy) -> Iterator[str]:
         yield f'value {value:.9g}, computed again {again:.9g}'
     if anywhere:  # the bound is that of larger discs, also around places nearer to the secured area
         site, entries = trip.game.sites, [leg.game.entering for leg in trip.legs]
-    least = least_by_highs(game, trip, [csr_matrix(each.multiply(alpha[site][:, None]))
-                                        for each in entries])
+    usable = [(each.alpha <= options.alpha_threshold)[each.edges].all(axis=1) for each in networks]
+    least = flow_value(networks, [csr_matrix(each.multiply(alpha[site][:, None]))
+                                  for each in entries],
+                       [leg.length_budget for leg in trip.legs], usable)
+    least = value if least is None else least  # HiGHS ended in an unknown state
     # HiGHS counts entries, so its value is the optimum only if no site is entered twice.
     if trip.lower_bound > least * (1.0 + LOOSE) + 1e-9:
         yield f'bound {trip.lower_bound:.9g} above {least:.9g} by HiGHS'
     if reach == 0.0 and value * (1.0 + LOOSE) + 1e-9 < least:
         yield f'value {value:.9g} below {least:.9g} by HiGHS'
-
-
-def least_by_highs(game: RandomGame, trip: TripStrategy, losses: list[csr_matrix]) -> float:
-    """The value if every entry counts, of all legs with ``losses`` (S, M) in one program.
-
-    The last column of each leg's program is the largest loss, of which there is one for all.
-    """
-    parts = []
-    for leg, own in zip(trip.legs, losses, strict=True):
-        network, limit = leg.network, leg.length_budget
-        usable = (network.alpha <= game.options.game.alpha_threshold)[network.edges].all(axis=1)
-        parts.append((value_lp(network, own, [(network.travel_costs, limit)], usable),
-                      own.shape[0]))
-    sites = parts[0][1]
-    edges = [lp.above[:, :-1] for lp, _ in parts]
-    shared = hstack([*(each[:sites] for each in edges), csr_matrix(-np.ones((sites, 1)))])
-    limits = hstack([block_diag([each[sites:] for each in edges]),
-                     csr_matrix((sum(each.shape[0] - sites for each in edges), 1))])
-    balance = block_diag([lp.balance[:, :-1] for lp, _ in parts])
-    balance = hstack([balance, csr_matrix((balance.shape[0], 1))])
-    above = vstack([shared, limits]) if limits.shape[0] else shared
-    lp = LP(np.append(np.zeros(above.shape[1] - 1), 1.0), csr_matrix(above),
-            np.append(np.zeros(sites), np.ones(limits.shape[0])), csr_matrix(balance),
-            np.concatenate([each.supply for each, _ in parts]),
-            np.append(np.concatenate([each.most[:-1] for each, _ in parts]), np.inf))
-    found = highs(lp, primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10)
-    return float(found.get('value', trip.value))
 
 
 def report(tally: Tally, first: int, games: int) -> str:
@@ -332,21 +302,17 @@ def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument('--count', type=int, default=2000, help='number of games')
     parser.add_argument('--first', type=int, default=0, help='seed of the first one')
-    parser.add_argument('--kinds', nargs='+', choices=sorted(set(KINDS)), default=KINDS,
-                        help='kinds of games, each as likely as the others')
     options = parser.parse_args()
     warnings.simplefilter('ignore', UserWarning)
     tally, seed, games = Tally(), options.first, 0
     while games < options.count:
-        game, seed = draw_game(seed, options.kinds), seed + 1
+        game, seed = draw_game(seed), seed + 1
         if game is None:
             continue
-        games, shown, begin = games + 1, len(tally.failures), time.process_time()
+        games, shown = games + 1, len(tally.failures)
         play(game, tally)
         for failure in tally.failures[shown:]:
             print(f'FAILURE {failure}', file=sys.stderr, flush=True)
-        if options.count == 1 or time.process_time() - begin > SLOW:
-            print(f'{time.process_time() - begin:.1f} s with checks: {game.words}', file=sys.stderr)
         if games % 50 == 0:
             print(f'{games} games, {len(tally.failures)} failures', file=sys.stderr)
     publish(options.results, 'random_games', report(tally, options.first, games))

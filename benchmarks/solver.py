@@ -3,39 +3,30 @@
 
 The kinds of problems are in families.py. Seeds are new in each run and printed; ``--seed`` repeats
 a run. ``--checkout A B`` measures the packages of several checkouts on the same problems, in turns.
-``--large N`` is about maps of N x N cells only: what ``ambush plan`` and ``ambush draw`` take.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from families import Problem, draw, problem_parser
 from one_run import Answer, run
 from report import conditions, publish, quantiles, table
-from scipy import ndimage
 
 from ambush_planner import AmbushPlannerError, Plan, RiskMap, plan_trip
-from ambush_planner.arrays import FloatArray
 from ambush_planner.game.strategy import TripStrategy
-from ambush_planner.maps.map_file import write_map
-from ambush_planner.maps.occupancy import OccupancyMap
 
 HERE = Path(__file__).parent.parent
 KINDS = 'plan', 'trip', 'grid'
 SIZES = 400, 2500, 9500  # of plans; of the other kinds: drawn
 PLACES = 500, 2500  # smallest and largest number of places of a trip
 TRIP_FAMILIES = ('hills-coarse', 'hills-obstacles', 'hills-fine', 'city', 'maze')
-SIDE = 20_000.0  # of large maps [m]
 WITHIN = 0.0101  # gap that counts as closed, for a slack of 0.01
 # There is no plan: the network of a coarse mesh has no way, or all ways are over a budget.
 REFUSED = 'NoRoute', 'BudgetInfeasible', 'StartBlocked', 'GoalBlocked', 'StopBlocked'
@@ -152,56 +143,13 @@ def commit(checkout: Path) -> str:
                           capture_output=True, check=False).stdout.strip() or checkout.name
 
 
-def relief(rng: np.random.Generator, cells: int, power: float) -> FloatArray:
-    """Noise (N, N) whose amplitude falls with a power of the frequency, of mean 0 and spread 1."""
-    frequency = np.hypot(np.fft.fftfreq(cells)[:, None], np.fft.rfftfreq(cells))
-    frequency[0, 0] = np.inf
-    waves = np.fft.rfft2(rng.standard_normal((cells, cells))) / frequency**power
-    heights = np.fft.irfft2(waves, (cells, cells))
-    return np.asarray(heights / heights.std())
-
-
-def large_map(cells: int) -> list[str]:
-    """Seconds and memory of ``ambush plan`` and ``ambush draw`` on 20 km of relief."""
-    rng, step, joined = np.random.default_rng(cells), SIDE / cells, False
-    while not joined:
-        risk = np.clip(45.0 + 20.0 * relief(rng, cells, 1.8), 0.0, 99.0)
-        values = np.where(relief(rng, cells, 2.1) > 1.1, 100, risk).astype(np.int8)
-        for corner in (0.02 * SIDE, 0.92 * SIDE):  # around start and goal
-            part = slice(int(corner / step), int((corner + 0.06 * SIDE) / step))
-            values[part, part] = np.minimum(values[part, part], 60)
-        regions = ndimage.label(values < 100)[0]
-        joined = regions[(int(0.05 * cells),) * 2] == regions[(int(0.95 * cells),) * 2]
-    ends = [f'{share * SIDE:g}' for share in (0.05, 0.95)]
-    with TemporaryDirectory() as folder:
-        files = [f'{folder}/{name}' for name in ('map.yaml', 'map.plan', 'card.html', 'route.csv')]
-        write_map(Path(files[0]), OccupancyMap(values, step))
-        row = [f'{cells} x {cells}']
-        for command in (['plan', files[0], '--start', *ends[:1] * 2, '--goal', *ends[1:] * 2,
-                         '--reach', '300', '--accept-gap', '-o', files[1]],
-                        ['draw', files[1], '-o', *files[2:]]):
-            process = subprocess.Popen([Path(sys.executable).with_name('ambush'), *command])
-            _, status, used = os.wait4(process.pid, 0)
-            row += [f'{used.ru_utime + used.ru_stime:.1f}', f'{used.ru_maxrss / 2**20:.2f}',
-                    str(os.waitstatus_to_exitcode(status))]
-    return row
-
-
 def main() -> None:
     parser = problem_parser(__doc__)
     parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
     parser.add_argument('--sizes', type=int, nargs='+', metavar='NODES', help='of plans')
     parser.add_argument('--checkout', type=Path, nargs='+', default=[HERE], metavar='FOLDER')
     parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
-    parser.add_argument('--large', type=int, nargs='+', metavar='CELLS',
-                        help='only plan and draw on maps with this number of cells along each side')
     options = parser.parse_args()
-    if options.large:
-        head = ['cells', *(f'{name}: {what}' for name in ('plan', 'draw')
-                           for what in ('processor s', 'GB', 'exit code'))]
-        publish(options.results, 'large maps',
-                       f'{conditions()}\n\n{table(head, list(map(large_map, options.large)))}')
-        return
     first, sections = options.seed, []
     seeds, labels = range(first, first + options.each), [commit(c) for c in options.checkout]
     for kind in options.kinds:

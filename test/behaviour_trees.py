@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Behaviour trees without Nav2: the control nodes that ours use.
+"""Behaviour trees without Nav2: PyPI, Debian and npm have no engine with its control nodes.
 
-They have been compared with those of BehaviorTree.CPP 4.9.0 and Nav2 1.3.13: in 154 trips like
-those of test_behaviour_trees.py both did the same, tick by tick. Bindings of the real engine
-(behaviortreepy) take no control nodes from Python, so not Nav2's, and their time is the wall's.
+In 154 trips like those of test_behaviour_trees.py, these did what those of BehaviorTree.CPP 4.9.0
+and Nav2 1.3.13 do, tick by tick.
 """
 
 import xml.etree.ElementTree as ElementTree

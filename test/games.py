@@ -7,7 +7,6 @@ The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, 
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice, pairwise
 
@@ -17,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
-from scipy.sparse import coo_matrix, csr_matrix, hstack, vstack
+from scipy.sparse import block_diag, coo_matrix, csr_matrix, hstack, vstack
 from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
 from ambush_planner import (
@@ -191,10 +190,12 @@ def ends_of(network: Network, others: tuple[int, ...] = ()) -> np.ndarray:
 
 
 def meets(network: Network, centres: np.ndarray, radius: float, secured: float,
-          others: tuple[int, ...] = ()) -> np.ndarray:
+          others: tuple[int, ...] = (), held=()) -> np.ndarray:
     """(K, M): whether an edge comes into the disc of a centre, ``secured`` or more from all ends.
+
+    And outside ``held`` discs (x, y, radius).
     """
-    edge, begin, end = exposed_parts(network, secured, others)
+    edge, begin, end = exposed_parts(network, secured, others, held)
     along, hit = end - begin, np.zeros((len(centres), len(network.edges)), bool)
     if not len(edge):
         return hit
@@ -211,20 +212,21 @@ def meets(network: Network, centres: np.ndarray, radius: float, secured: float,
     return hit
 
 
-def exposed_parts(network: Network, secured: float, others: tuple[int, ...] = ()
+def exposed_parts(network: Network, secured: float, others: tuple[int, ...] = (), held=()
                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The parts of edges ``secured`` or more from all ends: edges (K,), begins, ends (K, 2)."""
-    ends = ends_of(network, others)
+    discs = [(x, y, secured) for x, y in ends_of(network, others)]
+    ends, radii = np.split(np.array([*discs, *held]), [2], axis=1)
     start = network.points[network.tails]
     along = network.points[network.heads] - start
     length = np.hypot(*along.T)
     near = ((ends[:, None] - start) * along).sum(axis=2) / length**2
     off = np.linalg.norm(start + near[..., None] * along - ends[:, None], axis=2)
-    half = np.sqrt(np.maximum(secured**2 - off**2, 0.0)) / length
+    half = np.sqrt(np.maximum(radii**2 - off**2, 0.0)) / length
     cuts = np.vstack((0.0 * length, near - half, near + half, 0.0 * length + 1.0))
     cuts = np.sort(np.clip(cuts, 0.0, 1.0), axis=0)
     middle = start + ((cuts[1:] + cuts[:-1]) / 2)[..., None] * along
-    outside = np.linalg.norm(middle[:, :, None] - ends, axis=3).min(axis=2) > secured
+    outside = (np.linalg.norm(middle[:, :, None] - ends, axis=3) > radii[:, 0]).all(axis=2)
     piece, edge = np.nonzero(outside & (cuts[1:] > cuts[:-1] + 1e-12))
     begin, end = (start[edge] + cuts[piece + k, edge][:, None] * along[edge] for k in (0, 1))
     return edge, begin, end
@@ -245,22 +247,26 @@ def standing_places(risk_map: RiskMap, network: Network, secured: float,
     return points[outside], alpha[outside]
 
 
-def may_wait(network: Network, secured: float, others: tuple[int, ...] = ()) -> np.ndarray:
+def may_wait(network: Network, secured: float, others: tuple[int, ...] = (), held=()
+             ) -> np.ndarray:
     """(N,): whether a node is outside the secured area and costs something."""
     apart = np.linalg.norm(network.points[:, None] - ends_of(network, others), axis=2)
-    return (network.alpha > 0.0) & ((apart > secured).all(axis=1) | (secured == 0.0))
+    free = (apart > secured).all(axis=1) | (secured == 0.0)
+    for *place, radius in held:
+        free &= np.hypot(*(network.points - place).T) > radius
+    return (network.alpha > 0.0) & free
 
 
-def reached(network: Network, reach: float, secured: float, others: tuple[int, ...] = ()
+def reached(network: Network, reach: float, secured: float, others: tuple[int, ...] = (), held=()
             ) -> np.ndarray:
     """(N, M): whether an edge comes into reach of a node outside the secured area, and counts.
 
-    Without a reach, it has to lead to the node.
+    That is the area around the ends, and ``held`` discs (x, y, radius). Without a reach, the edge
+    has to lead to the node.
     """
-    if reach == 0.0:
-        return np.arange(len(network.points))[:, None] == network.heads
-    met = meets(network, network.points, reach, secured, others)
-    return met & may_wait(network, secured, others)[:, None]
+    met = (meets(network, network.points, reach, secured, others, held) if reach > 0.0 else
+           np.arange(len(network.points))[:, None] == network.heads)
+    return met & may_wait(network, secured, others, held)[:, None]
 
 
 def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
@@ -280,54 +286,45 @@ def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
     return 1.0 - unhit[network.target]
 
 
-@dataclass(frozen=True, eq=False)
-class LP:
-    """Minimise cost x; above x <= limits, balance x = supply, x in 0..most; x is p (M,), t."""
+def flow_value(networks: Sequence[Network], losses: Sequence[csr_matrix],
+               limits: Sequence[float],
+               usable: Sequence[np.ndarray] | None = None) -> float | None:
+    """Least value of flows of the legs of a trip, if every entry counts, by one linear program.
 
-    cost: np.ndarray
-    above: csr_matrix
-    limits: np.ndarray
-    balance: csr_matrix
-    supply: np.ndarray
-    most: np.ndarray
-
-
-def value_lp(network: Network, losses: csr_matrix, budgets: Sequence[tuple[np.ndarray, float]],
-             usable: np.ndarray | None = None) -> LP:
-    """Minimise t: ``losses`` (S, M) p <= t, one unit of flow p within ``budgets``.
-
-    Each budget is the costs (M,) of the edges and its limit; p is 0 on edges that are not
-    ``usable`` (M,).
+    ``losses`` (S, M) of the entries of each leg's edges; mean costs of travel are within the
+    ``limits``, and flow is on ``usable`` edges (M,) only. None if HiGHS finds no optimum.
     """
-    (tail, head), m, n = network.edges.T, len(network.edges), len(network.points)
-    sites = losses.shape[0]
-    ends = np.r_[tail, head], np.tile(np.arange(m), 2)
-    balance = coo_matrix((np.repeat([1.0, -1.0], m), ends), (n, m + 1))
-    supply = np.zeros(n)
-    supply[network.source], supply[network.target] = 1.0, -1.0
-    rows = [hstack((losses, csr_matrix(-np.ones((sites, 1)))))]
-    rows += [csr_matrix(np.r_[cost / limit, 0.0]) for cost, limit in budgets
-             if 0.0 < limit < np.inf]
-    most = np.full(m + 1, np.inf)
+    sites, costs, balance, supply = losses[0].shape[0], [], [], []
+    for network, limit in zip(networks, limits, strict=True):
+        m, n = len(network.edges), len(network.points)
+        ends = np.r_[network.tails, network.heads], np.tile(np.arange(m), 2)
+        balance.append(coo_matrix((np.repeat([1.0, -1.0], m), ends), (n, m)))
+        supply.append(np.zeros(n))
+        supply[-1][[network.source, network.target]] = 1.0, -1.0
+        costs.append(csr_matrix([network.travel_costs / limit] if 0.0 < limit < np.inf
+                                else (0, m)))
+    shared = hstack((*losses, csr_matrix(-np.ones((sites, 1)))))
+    budgets, flow = (hstack((rows := block_diag(each), csr_matrix((rows.shape[0], 1))))
+                     for each in (costs, balance))
+    most = np.full(shared.shape[1], np.inf)
     if usable is not None:
-        most[:m][~usable] = 0.0
-    return LP(np.r_[np.zeros(m), 1.0], csr_matrix(vstack(rows)),
-              np.r_[np.zeros(sites), np.ones(len(rows) - 1)], csr_matrix(balance), supply, most)
+        most[:-1] = np.where(np.concatenate(usable), np.inf, 0.0)
+    found = linprog(
+        np.append(np.zeros(len(most) - 1), 1.0), vstack((shared, budgets)),
+        np.append(np.zeros(sites), np.ones(budgets.shape[0])), flow, np.concatenate(supply),
+        np.column_stack((0.0 * np.isinf(most), most)), method='highs-ds',
+        options={'primal_feasibility_tolerance': 1e-10, 'dual_feasibility_tolerance': 1e-10})
+    return float(found.fun) if found.status == 0 else None
 
 
-def lp_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf) -> float:
-    """Least value by one linear program over all edges; row j of ``hits`` has the hits of site j.
-    """
-    if hits is None:
-        into = network.heads, np.arange(len(network.edges))
-        hits = csr_matrix((np.ones(len(into[0])), into), (len(network.points), len(into[0])))
-    lp = value_lp(network, hits.multiply(network.alpha[:, None]),
-                  [(network.travel_costs, budget)])
-    tolerances = {'primal_feasibility_tolerance': 1e-10, 'dual_feasibility_tolerance': 1e-10}
-    found = linprog(lp.cost, lp.above, lp.limits, lp.balance, lp.supply, method='highs-ds',
-                    options=tolerances)
-    assert found.status == 0, found.message
-    return float(found.fun)
+def lp_value(network: Network, budget: float = np.inf) -> float:
+    """Least value without a reach within a length budget, by one linear program over all edges."""
+    into = network.heads, np.arange(len(network.edges))
+    losses = csr_matrix((network.alpha[network.heads], into),
+                        (len(network.points), len(network.edges)))
+    found = flow_value([network], [losses], [budget])
+    assert found is not None
+    return found
 
 
 def routes_of(network: Network, used: np.ndarray | None = None,
@@ -363,18 +360,22 @@ def value_by_routes(loss: np.ndarray, hits: np.ndarray, routes,
                                 for cost, limit in limits])
 
 
-def least_value(losses: np.ndarray, limits=()) -> float | None:
+def least_value(losses: np.ndarray, limits=(), leg=None) -> float | None:
     """Value of the game with ``losses`` [site, route]; None if no mixture is within ``limits``.
 
-    ``limits``: costs of the routes, each with the largest mean.
+    ``limits``: costs of the routes, each with the largest mean. ``leg`` of a trip (routes,) that
+    each route is of, by default the same: those of each are mixed with shares that sum to 1.
     """
     sites, routes = losses.shape
+    leg = np.zeros(routes, int) if leg is None else np.asarray(leg)
     limits = [each for each in limits if np.isfinite(each[1])]
     rows = [np.hstack((losses, -np.ones((sites, 1)))),
             *(np.r_[cost, 0.0][None] for cost, _ in limits)]
+    one = (np.arange(leg.max() + 1)[:, None] == leg).astype(float)
     found = linprog(np.r_[np.zeros(routes), 1.0], np.vstack(rows),
                     np.r_[np.zeros(sites), [limit for _, limit in limits]],
-                    np.r_[np.ones(routes), 0.0][None], [1.0], method='highs-ds')
+                    np.column_stack((one, np.zeros(len(one)))), np.ones(len(one)),
+                    method='highs-ds')
     return float(found.fun) if found.status == 0 else None
 
 
@@ -391,18 +392,10 @@ def trip_value(alpha: np.ndarray, networks: Sequence[Network], hits: Sequence[np
             columns.append(alpha * near[:, route].any(axis=1))
             lengths.append(network.lengths[route].sum())
             leg.append(k)
-    one = (np.arange(len(networks))[:, None] == leg).astype(float)
-    rows = [np.column_stack((np.array(columns).T, -np.ones(len(alpha))))]
-    most = [np.zeros(len(alpha))]
-    for own, limit in zip(one, limits, strict=True):
-        if np.isfinite(limit):
-            rows.append(np.append(own * lengths, 0.0)[None])
-            most.append(np.array([limit]))
-    found = linprog(np.append(np.zeros(len(leg)), 1.0), np.vstack(rows), np.concatenate(most),
-                    np.column_stack((one, np.zeros(len(one)))), np.ones(len(one)),
-                    method='highs-ds')
-    assert found.status == 0, found.message
-    return float(found.fun)
+    found = least_value(np.array(columns).T, [(np.equal(leg, k) * lengths, limit)
+                                              for k, limit in enumerate(limits)], leg)
+    assert found is not None
+    return found
 
 
 def value_is_right(network: Network, value: float, budget: float, slack: float = 0.0) -> bool:
@@ -411,11 +404,11 @@ def value_is_right(network: Network, value: float, budget: float, slack: float =
     At most by the part ``slack`` over the least. Where routes are nearly as short as the shortest,
     the value is steep in the budget.
     """
-    least = lp_value(network, None, budget)
+    least = lp_value(network, budget)
     room = 2e-6 * least + 1e-8
     if least - room <= value <= (least + room) * (1 + slack):
         return True
-    loose = lp_value(network, None, budget * (1 + 2e-7))
+    loose = lp_value(network, budget * (1 + 2e-7))
     return loose - room <= value <= (2 * least - loose + room) * (1 + slack)
 
 

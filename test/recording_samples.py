@@ -2,7 +2,7 @@
 """A departure with every kind of message, and independent readers to compare it with."""
 
 import array
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import deserialize_message, serialize_message
+from ros_harness import pose, risk_grid
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -25,18 +26,8 @@ INPUTS = {'map': '/alpha_map', 'start': '/start_pose', 'goal': '/goal_pose', 'pa
 TYPES = (OccupancyGrid, PoseStamped, MarkerArray, PathMessage, DiagnosticArray)
 
 
-def pose(x, y):
-    message = PoseStamped(header=Header(frame_id='map'))
-    message.pose.position.x, message.pose.position.y = x, y
-    return message
-
-
-def risk_map(height=100, width=200):
-    message = OccupancyGrid(header=Header(frame_id='map'))
-    message.info.width, message.info.height, message.info.resolution = width, height, 0.5
-    cells = np.random.default_rng(1).integers(-1, 101, width * height, dtype=np.int8)
-    message.data = array.array('b', cells.tobytes())
-    return message
+def risk_map(*shape):
+    return risk_grid(np.random.default_rng(1).integers(-1, 101, shape, dtype=np.int8))
 
 
 def markers():
@@ -62,10 +53,10 @@ def recorded(topic, message, qos=VOLATILE, stamp_ns=START_NS):
     return RecordedMessage(topic, type_name(message), serialize_message(message), qos, stamp_ns)
 
 
-def departure(start_ns=START_NS):
+def departure(start_ns=START_NS, height=100):
     """Every kind of message that a departure has, a millisecond apart."""
     rows = [
-        ('/alpha_map', risk_map(), LATCHED),
+        ('/alpha_map', risk_map(height, 2 * height), LATCHED),
         ('/start_pose', pose(1.5, 2.5), VOLATILE),
         ('/goal_pose', pose(-7.25, 1e-9), VOLATILE),
         ('/edge_probabilities', markers(), LATCHED),
@@ -78,18 +69,8 @@ def departure(start_ns=START_NS):
     ]
 
 
-def small_departure(start_ns=START_NS):
-    """A departure whose file has a few kB, for faults at each of its bytes."""
-    rows = [
-        ('/alpha_map', risk_map(6, 8)),
-        ('/start_pose', pose(1.5, 2.5)),
-        ('/goal_pose', pose(3.0, 4.0)),
-        ('/path', path_message()),
-    ]
-    return [recorded(topic, message, LATCHED, start_ns + i) for i, (topic, message) in
-            enumerate(rows)]
-
-
+# A departure whose file has a few kB.
+small_departure = partial(departure, height=4)
 ATTACHMENTS = {'strategy.npz': b'not a strategy, but bytes'}
 
 

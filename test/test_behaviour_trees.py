@@ -234,15 +234,6 @@ def test_a_recovery_is_tried_only_if_it_helps(tree):
 
 
 @TREES
-def test_the_failure_of_an_older_goal_does_not_fail_the_newest(tree):
-    """Goals in a rack, and a moment later a good one: the planner fails first for the racks."""
-    world = World(0.3)
-    world.fails = {10.0: OCCUPIED, 11.0: OCCUPIED}
-    assert world.run(tree, [10.0], [(0.05, [11.0]), (0.2, [20.0])]) == SUCCESS
-    assert world.place == 20.0 and world.asked == [[10.0], [11.0], [20.0]]
-
-
-@TREES
 def test_a_path_that_becomes_invalid_is_asked_for_again_on_the_way(tree):
     world = World(0.5)
     world.blocked_at = 2.2

@@ -26,7 +26,7 @@ NODE_SCRIPTS = {
     'node_latency': '--calls 2 --nodes 400 --seconds 0.6 --cells 200',
 }
 if not interfaces._missing():
-    NODE_SCRIPTS['node_motion'] = '--trips 1 --speeds 2 --hurry 3 --ask 1Hz'
+    NODE_SCRIPTS['node_motion'] = '--trips 1 --speeds 6'
 
 
 def run(script, arguments, folder):

@@ -5,7 +5,6 @@ import os
 import re
 import shutil
 import subprocess
-import threading
 from base64 import b64decode
 from datetime import datetime
 from io import BytesIO
@@ -24,7 +23,6 @@ from PIL import Image
 from ambush_planner import GameOptions, PlanningOptions, plan_trip
 from ambush_planner.commands import card, card_page, draw
 from ambush_planner.commands.card_map import card_map
-from ambush_planner.commands.console import Console
 from ambush_planner.maps.coordinates import Coordinates
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.maps.road_file import RoadGraph
@@ -223,17 +221,6 @@ def test_a_dry_run_is_a_training_on_card_and_receiver(road_plan, tmp_path):
     assert '<span>TRAINING</span>' in page and 'Training: do not drive this' in page
     assert '<name>TRAINING 20' in file
     assert rows_of(page)[1][-1] == '1.7', 'minutes at 36 km/h'
-
-
-def test_progress_is_shown_while_a_card_is_drawn(road_plan, tmp_path, monkeypatch):
-    """Drawing it ends when progress has been shown."""
-    assert run_here(draw, road_plan, '--date', '2030-01-01').code == 0
-    said = threading.Event()
-    monkeypatch.setattr(Console, 'step', lambda console, text: said.set())
-    monkeypatch.setattr(card_page, 'card_page', lambda *_: f'a card {said.wait(30.0)}')
-    (recording,) = (tmp_path / 'road.departures').iterdir()
-    done = run_here(card, recording, '-o', tmp_path / 'c.html')
-    assert done.code == 0 and (tmp_path / 'c.html').read_text() == 'a card True'
 
 
 @pytest.mark.skipif(BINARY is None, reason='no Chromium here; on Debian: apt install chromium')

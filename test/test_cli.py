@@ -59,8 +59,8 @@ def test_broken_pipe_is_silent(tmp_path):
 def test_solvers_print_nothing_between_our_lines(tmp_path):
     """HiGHS 1.16 greets a process that uses it for the first time."""
     write_map(tmp_path / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
-    line = ('plan map.yaml --start 15 15 --goal 285 185 --reach 15 --set network.refine=0 -o r.csv '
-            '--json')
+    line = ('plan map.yaml --start 15 15 --goal 285 185 --reach 15 -o r.csv --json '
+            '--set network.refine=0 network.spacing=40')
     plan = subprocess.run([*ENTRY, *line.split()], cwd=tmp_path, capture_output=True, timeout=120,
                           text=True)
     assert json.loads(plan.stdout)['verdict'] == 'holds', plan.stderr
@@ -83,8 +83,7 @@ def test_mistakes_are_refused_before_anything_that_computes_is_imported(tmp_path
     assert done.stderr.count(': none.tif: No such file or directory') >= 8
 
 
-@pytest.mark.parametrize('module', ['argparse', 'ambush_planner.commands.inputs', 'numpy.linalg',
-                                    'scipy.sparse', 'ambush_planner.planning.trip'])
+@pytest.mark.parametrize('module', ['argparse', 'scipy.sparse'])
 def test_ctrl_c_during_an_import_is_one_line(module, inputs):
     """The finder presses it when the module is asked for; argparse is imported first of all."""
     line = 'plan map.yaml --start 15 15 --goal 285 185 -o made.plan'

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
-from nav_msgs.srv import GetPlan
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
 from robots import ROBOT, Robot
@@ -17,7 +16,6 @@ from waiting import answer_of, held
 
 from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.ros.compute_path import ACTIONS
-from ambush_planner.worker.process import WorkerProcess
 
 pytestmark = pytest.mark.usefixtures('nav2')
 
@@ -168,30 +166,6 @@ def test_the_newest_goal_wins_and_one_that_is_cancelled_leaves_the_others(submit
         assert goals.result(only)[0] == GoalStatus.STATUS_CANCELED
         assert goals.client.call('cancel').message == 'no solve is running'
         assert not goals.client.received['path']
-
-
-def test_goals_from_fixed_places_replace_none():
-    """Nobody knows who sends them: the map's frame is no robot."""
-    with asking() as goals, held(WorkerProcess, 'solve') as (_, go_on):
-        sent = [goals.send(goal=pose(8.5, y)) for y in (2.5, 8.5)]
-        go_on.set()
-        assert [goals.result(each)[0] for each in sent] == [GoalStatus.STATUS_SUCCEEDED] * 2
-
-
-def test_a_goal_that_was_replaced_is_not_tried_again_when_its_solve_ends(submitted, caplog):
-    request = GetPlan.Request(start=START, goal=pose(8.0, 1.0))
-    with asking(None, ROBOT) as goals:
-        Robot(goals.running).is_at(1.5, 5.5)
-        with held(WorkerProcess, 'solve'):
-            old = goals.send(None, goal=request.goal)
-            shares = goals.client.send('get_plan', request)
-            wait_until(lambda: len(submitted) == 2, 'both')
-            newest = goals.send(None)
-            assert goals.result(old)[0] == GoalStatus.STATUS_ABORTED
-        assert goals.result(newest)[0] == GoalStatus.STATUS_SUCCEEDED
-        wait_until(shares.done, 'the answer of get_plan')
-        assert shares.result().plan.poses
-    assert not caplog.records, 'nobody answers it a second time'
 
 
 def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(goals):

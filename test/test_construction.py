@@ -21,7 +21,6 @@ from ambush_planner import (
 )
 from ambush_planner.errors import GoalOutsideMap, StartOutsideMap
 from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.network.node_sampling import lattice_points
 from ambush_planner.network.shortest_paths import distances_from
 
 
@@ -115,60 +114,6 @@ def test_grid8_joins_each_node_to_its_eight_neighbours():
     near = {frozenset((a, b)) for a, b in itertools.combinations(cells, 2)
             if max(abs(a[0] - b[0]), abs(a[1] - b[1])) == 1}
     assert found == near
-
-
-@examples(12)
-@given(st.integers(0, 10**6), st.sampled_from((*METHODS[:2], *METHODS[3:])),
-       st.sampled_from((0.0, 0.1, 0.25)))
-def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
-    """Each edge is the chord of some circle without nodes inside; and no such edge is missing."""
-    risk_map = random_map(seed, 7, obstacles)
-    free = np.argwhere(~risk_map.obstacles)[[0, -1], ::-1] + (0.4, 0.7)
-    try:
-        network = build(risk_map, *free, method, spacing=1.0, seed=seed)
-    except (NoRoute, InvalidNetwork, StartBlocked, GoalBlocked):
-        assume(False)
-    field, uv = ObstacleField(risk_map), risk_map.to_map_axes(network.points)
-    found, count = joined(network), len(uv)
-    if method in METHODS[:2]:  # the lattice goes on beyond the edge
-        cells = list(itertools.product(range(-3, 10), repeat=2))
-        beyond = [cell for cell in cells if not (-1 < min(cell) and max(cell) < 7)]
-        uv = np.concatenate((uv, lattice_points(np.array(beyond), 1.0, method)))
-    else:  # the nodes have mirror images beyond the edge
-        images = [uv * (-1, 1), uv * (1, -1), (14, 0) - uv * (1, -1), (0, 14) - uv * (-1, 1)]
-        uv = np.concatenate((uv, *images))
-    for i in range(count - 1):
-        for j, room in enumerate(empty_chords(uv, i, np.arange(i + 1, count)), i + 1):
-            if (i, j) in found:
-                assert room > -1e-5
-            elif room > 1e-5 and field.clear_segments(uv[[i]], uv[[j]], 0.0)[0]:
-                assert has_flat_detour(uv[:count], field, i, j)
-
-
-def has_flat_detour(uv, field, i, j) -> bool:
-    """Whether the way over a third node, near the line from i to j, is clear, too."""
-    along = uv[j] - uv[i]
-    off = np.abs((uv - uv[i]) @ (-along[1], along[0])) / (along @ along)
-    for k in np.flatnonzero(off < 0.25):
-        if k not in (i, j) and abs((uv[k] - uv[i]) @ along / (along @ along) - 0.5) < 0.5:
-            if field.clear_segments(uv[[i, k]], uv[[k, j]], 0.0).all():
-                return True
-    return False
-
-
-def empty_chords(points, i, ends) -> np.ndarray:
-    """Room for the centre of an empty circle through i and each end (K,); < 0: there is none."""
-    middle, half = (points[i] + points[ends]) / 2, (points[ends] - points[i]) / 2
-    normal = np.stack((-half[:, 1], half[:, 0]), axis=1) / np.hypot(*half.T)[:, None]
-    others = points - middle[:, None]
-    side = (others * normal[:, None]).sum(axis=2)
-    power = (others**2).sum(axis=2) - (half**2).sum(axis=1)[:, None]
-    # Centre middle + c normal keeps a point out when 2 c side <= power.
-    on_line = np.abs(side) < 1e-12
-    bound = power / np.where(on_line, 1.0, 2 * side)
-    above = np.where(~on_line & (side > 0), bound, np.inf).min(axis=1)
-    below = np.where(~on_line & (side < 0), bound, -np.inf).max(axis=1)
-    return np.where((on_line & (power < -1e-12)).any(axis=1), -np.inf, above - below)
 
 
 @pytest.mark.parametrize('method, worst', [('uniform_delaunay', 1.11), ('uniform_grid8', 1.09)])

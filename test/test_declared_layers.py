@@ -41,20 +41,15 @@ AREA, STREETS = {'polygons': ''}, {'roads': ''}
 @pytest.mark.parametrize(('shapes', 'layer', 'tags', 'words'), [
     ([FIELD, ROAD, RING, MINE], {**AREA, 'forbidden': True}, {}, 'layer 1 .polygons.: x.gpkg: 3 of '
      r'4 shapes are no polygons \(2 LineString, 1 Point\); .* buffer'),
-    ([FIELD, MINE], {**AREA, 'secured': True}, {}, '1 of 2 shapes'),
     ([FIELD, RING], {**AREA, 'loss': 3}, {}, '1 of 2 shapes'),
     ([MultiPoint([MINE, Point(WEST, SOUTH)]), FIELD], AREA, {}, '2 of 3 shapes .*2 Point'),
-    ([ROAD], {**AREA, 'factor': 2}, {}, '1 of 1 shapes'),
     ([FIELD, MINE], {**AREA, 'forbidden': True, 'buffer': 'far'}, {'far': [9.0, 0.0]},
      '1 of 2 shapes'),
-    ([FIELD, None, None], {**AREA, 'forbidden': True}, {},
-     '2 of 3 features are left out: 2 without a geometry; forbidden ground must be whole'),
     ([FIELD, None], {**AREA, 'secured': 'barred'}, {'barred': [1, 1]},
      'secured ground must be whole'),
     ([ROAD, FIELD], {**STREETS, 'forbidden': True}, {}, '1 of 2 features .*1 Polygon; forbidden'),
     ([ROAD, RING], {**STREETS, 'forbidden': True}, {'highway': ['track', 'footway']},
      'forbidden ground must be whole; put lines that are no roads'),
-    ([ROAD, None], {**STREETS, 'secured': True}, {}, '1 without a geometry; secured'),
     ([ROAD], {**STREETS, 'passable': True}, {'waterway': ['river']}, 'or --all-lines-are-roads'),
     ([ROAD], {**STREETS, 'road_column': 'a=c'}, {'a': ['b']}, 'road_column .* of a has b 1'),
 ])
@@ -64,15 +59,11 @@ def test_what_would_open_forbidden_or_held_ground_is_refused(shapes, layer, tags
 
 
 @pytest.mark.parametrize(('shapes', 'layer', 'tags', 'words', 'cells'), [
-    ([FIELD], {**AREA, 'forbidden': True}, {}, '', 100),
     ([MINE], {**AREA, 'forbidden': True, 'buffer': 14.0}, {}, '', 9),
-    ([ROAD], {**AREA, 'forbidden': True, 'buffer': 4.0}, {}, '', 40),
     ([RING], {**AREA, 'forbidden': True, 'buffer': 1.0}, {}, '', 68),
-    ([FIELD, MINE], {**AREA, 'forbidden': True, 'buffer': 'far'}, {'far': [0.0, 14.0]}, '', 109),
     ([FIELD, MINE], {**AREA, 'forbidden': True, 'buffer': 'FAR'}, {'far': [0.0, 4.0]}, '', 101),
     ([FIELD, None], AREA, {}, '1 of 2 features are left out: 1 without a geometry', 0),
     ([ROAD, MINE, FIELD], STREETS, {}, '2 of 3 features are left out: 1 Point, 1 Polygon', 0),
-    ([ROAD, RING], {**STREETS, 'factor': 2}, {'highway': ['track', 'path']}, 'path 1', 0),
     ([MINE, FIELD], {'incidents': '', 'bandwidth': 50}, {}, '1 of 2 features .*1 Polygon', 0),
 ])
 def test_what_is_left_out_elsewhere_is_counted(shapes, layer, tags, words, cells, tmp_path):
@@ -147,11 +138,8 @@ def gpx(begins, places=DEGREES, step=10):
 
 
 @pytest.mark.parametrize(('begin', 'step', 'timed'), [
-    ('2026-03-01T08:00:00', 10, True), (None, 10, False), ('1970-01-01T00:00:00', 10, False),
-    ('2026-03-01T08:00:00', 0, False), ('1980-01-06T00:00:00', 10, False),
-    ('2000-01-01T00:00:00', 10, False), ('1999-08-22T00:00:05', 10, False),
-    ('1989-12-31T00:00:00', 10, False), ('1970-01-01T08:00:00', 10, False),
-    ('2005-08-01T08:00:00', 10, True),
+    ('2005-08-01T08:00:00', 10, True), (None, 10, False), ('1970-01-01T08:00:00', 10, False),
+    ('2026-03-01T08:00:00', 0, False), ('1999-08-22T00:00:05', 10, False),
 ])
 def test_times_that_say_nothing_are_ignored(begin, step, timed, tmp_path):
     (tmp_path / 'a.gpx').write_text(gpx([begin] * 6, step=step))
@@ -161,8 +149,7 @@ def test_times_that_say_nothing_are_ignored(begin, step, timed, tmp_path):
 
 
 @pytest.mark.parametrize('bad', [
-    (0.0, 0.0), (91.0, 0.0), (48.0, 400.0), ('', ''), ('nan', 'nan'), (0.0, -0.0), ('x', 14.0),
-    (-91.0, 14.0), ('', 14.0), (1e-7, 0.0),
+    (0.0, -0.0), (91.0, 0.0), (48.0, 400.0), ('', 14.0), ('nan', 'nan'), ('x', 14.0),
 ])
 def test_positions_without_a_fix_are_counted(bad, tmp_path):
     places = [*DEGREES.tolist()]

@@ -37,9 +37,8 @@ def as_stored(scale, offset, kind):
 
 
 @pytest.mark.parametrize(('scale', 'offset', 'kind'), [
-    (0.1, 0.0, 'int16'), (2.0, 0.0, 'uint8'), (0.01, -100.0, 'uint16'), (1.0, 250.0, 'uint8'),
-    (1.0, -32768.0, 'uint16'), (-1.0, 0.0, 'int16'), (0.5, 250.0, 'uint8'), (1e-3, 0.0, 'int32'),
-    (100.0, 0.0, 'float32'), (10.0, 300.0, 'float64'),
+    (0.01, -100.0, 'uint16'), (-1.0, 0.0, 'int16'), (0.5, 250.0, 'uint8'),
+    (10.0, 300.0, 'float64'),
 ])
 def test_scale_and_offset_are_applied(scale, offset, kind, tmp_path):
     stored = as_stored(scale, offset, kind)
@@ -101,9 +100,7 @@ def test_what_cannot_be_applied_is_refused(declared, words, tmp_path):
 
 @pytest.mark.parametrize(('fill', 'kind', 'declared', 'words'), [
     (-9999, 'float32', {}, '144 of 1200 heights are unknown: outside -430 to 9000 m'),
-    (-32768, 'int16', {}, 'outside -430'), (-3.4e38, 'float32', {}, 'outside -430'),
     (np.inf, 'float32', {}, 'outside -430'), (32767, 'int16', {}, 'outside -430'),
-    (65535, 'uint16', {}, 'outside -430'), (9999, 'float64', {}, 'outside -430'),
     (-9999, 'int16', {'scale': 0.1}, 'outside -430'),
     (-9999, 'float32', {'nodata': -32768}, 'outside -430'),
     (-9999, 'float32', {'nodata': -9999}, ''), (np.nan, 'float32', {}, ''),
@@ -159,10 +156,8 @@ def test_longitudes_to_360_and_files_without_a_system(tmp_path):
 
 @pytest.mark.parametrize(('values', 'declared', 'words'), [
     (HILLS - 265.5, {}, 'no whole numbers; .*ambush risk'), (RISK, {'unit': 'm'}, "unit is 'm'"),
-    (RISK, {'unit': 'ft'}, "unit is 'ft'"), (RISK, {'description': 'DEM'}, "called 'DEM'"),
-    (RISK, {'description': 'surface height'}, 'surface height'),
-    (RISK, {'crs': 'EPSG:32616+5773'}, "'metre'"),
-    (RISK, {'description': 'z (m)'}, "unit is 'm'"), (RISK, {'units': 'metres'}, "'metres'"),
+    (RISK, {'description': 'DEM'}, "called 'DEM'"), (RISK, {'crs': 'EPSG:32616+5773'}, "'metre'"),
+    (RISK, {'units': 'metres'}, "'metres'"),
     (HILLS.astype(np.int16), {}, 'cell values must be .* elevation model'),
     (RISK / 100.0, {}, 'risks from 0 to 1.*multiply by 100'),
     (RISK, {'colours': {1: (255, 0, 0)}}, 'table of colours'),

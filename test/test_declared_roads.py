@@ -53,27 +53,19 @@ def read(source, **options):
 
 @pytest.mark.parametrize(('tags', 'drivable', 'words'), [
     *(({key: value}, NONE, f'1 of 2 lines are no roads for vehicles: {key}={value} 1; they are')
-      for key, value in (('waterway', 'river'), ('power', 'line'), ('railway', 'rail'),
-                         ('boundary', 'administrative'), ('route', 'ferry'), ('barrier', 'fence'),
-                         ('man_made', 'pipeline'), ('aeroway', 'runway'),
-                         ('aerialway', 'cable_car'))),
-    *(({'highway': kind}, NONE, f': {kind} 1') for kind in (
-        'footway', 'path', 'cycleway', 'steps', 'pedestrian', 'bridleway', 'construction',
-        'proposed', 'platform', 'raceway', 'busway', 'corridor', 'rest_area')),
+      for key, value in (('waterway', 'river'), ('route', 'ferry'))),
+    *(({'highway': kind}, NONE, f': {kind} 1') for kind in ('footway', 'construction', 'busway')),
     ({'name': 'a line'}, NONE, 'without highway 1'),
     *(({'highway': 'service', **tags}, NONE, f'{key}={value}') for tags, key, value in (
-        ({'access': 'no'}, 'access', 'no'), ({'access': 'private'}, 'access', 'private'),
+        ({'access': 'private'}, 'access', 'private'),
         ({'motor_vehicle': 'no', 'access': 'yes'}, 'access', 'no'),
-        ({'vehicle': 'forestry'}, 'access', 'forestry'), ({'motorcar': 'no'}, 'access', 'no'),
-        ({'area': 'yes'}, 'area', 'yes'), ({'oneway': 'N'}, 'oneway', 'n'),
+        ({'motorcar': 'no'}, 'access', 'no'), ({'area': 'yes'}, 'area', 'yes'),
+        ({'oneway': 'N'}, 'oneway', 'n'), ({'oneway': 'reversible'}, 'oneway', 'reversible'),
         ({'smoothness': 'impassable'}, 'smoothness', 'impassable'),
-        ({'oneway': 'reversible'}, 'oneway', 'reversible'),
-        ({'oneway': 'alternating'}, 'oneway', 'alternating'),
         ({'oneway': 'sometimes'}, 'oneway', 'sometimes'))),
     ({'highway': 'tertiary', 'construction': 'yes'}, NONE, 'construction 1'),
     *(({'highway': kind}, BOTH, '') for kind in (
-        'trunk', 'secondary_link', 'unclassified', 'residential', 'living_street', 'service',
-        'track', 'road', "['path', 'residential']")),
+        'secondary_link', 'track', "['path', 'residential']")),
     ({'highway': 'residential', 'railway': 'tram'}, BOTH, ''),
     ({'highway': 'service', 'access': 'no', 'motor_vehicle': 'yes'}, BOTH, ''),
     ({'highway': 'service', 'access': 'destination'}, BOTH, ''),
@@ -81,21 +73,15 @@ def read(source, **options):
     ({'highway': 'motorway'}, AHEAD, ''), ({'highway': 'motorway_link'}, AHEAD, ''),
     ({'highway': 'motorway', 'oneway': 'no'}, BOTH, ''),
     ({'highway': 'primary', 'junction': 'roundabout'}, AHEAD, ''),
-    ({'highway': 'primary', 'junction': 'circular'}, AHEAD, ''),
-    *(({'highway': 'primary', 'oneway': value}, BACK, '')
-      for value in ('-1', 'reverse', 'T', 'TF', '-1.0')),
-    *(({'highway': 'primary', 'oneway': value}, AHEAD, '')
-      for value in ('yes', 'true', '1', 'F', 'FT', 'True')),
-    *(({'highway': 'primary', 'oneway': value}, BOTH, '') for value in ('no', 'B', '0', 'False')),
+    *(({'highway': 'primary', 'oneway': value}, drivable, '')
+      for drivable, values in ((BACK, ('reverse', 'T', '-1.0')), (AHEAD, ('1', 'FT', 'True')),
+                               (BOTH, ('no', 'B'))) for value in values),
     ({'highway': 'primary', 'oneway': 'no', 'oneway:motor_vehicle': 'yes'}, AHEAD, ''),
     ({'highway': 'primary', 'oneway:bicycle': 'yes'}, BOTH, ''),
     ({'HIGHWAY': 'primary', 'ONEWAY': '-1'}, BACK, ''),
-    ({'highway': 'primary', 'Oneway': 'yes'}, AHEAD, ''),
-    *(({'highway': 'primary', name: 'yes'}, AHEAD, f'{name!r} is read as oneway')
-      for name in ('one_way', 'ONE_WAY', 'OneWay_', 'One-Way')),
+    ({'highway': 'primary', 'One-Way': 'yes'}, AHEAD, "'One-Way' is read as oneway"),
     *(({'highway': 'service', key: value}, NONE, f'access={value} 1') for key, value in (
-        ('motor_vehicle', 'agricultural;forestry'), ('access', "['no', 'private']"),
-        ('vehicle', 'no|permit'), ('motorcar', 'private; no'))),
+        ('motor_vehicle', 'agricultural;forestry'), ('vehicle', 'no|permit'))),
     ({'highway': 'service', 'vehicle': 'forestry;destination'}, BOTH, ''),
     ({'highway': 'primary', 'SPEED_LIM': 'F'}, BOTH, "'SPEED_LIM' is not read"),
 ])
@@ -129,7 +115,6 @@ def rules(*given):
 @pytest.mark.parametrize(('tags', 'around', 'drivable', 'words'), [
     ({'fclass': 'footway'}, {'fclass': 'primary'}, NONE, 'footway'),
     ({'fclass': 'track_grade3'}, {'fclass': 'primary'}, BOTH, ''),
-    ({'fclass': 'motorway', 'oneway': 'F'}, {'fclass': 'primary'}, AHEAD, ''),
     ({'tags': '{"waterway": "river"}'}, {'tags': '{"highway": "road"}'}, NONE, 'waterway=river'),
     ({'tags': {'highway': 'track', 'oneway': '-1'}}, {'tags': {'highway': 'road'}}, BACK, ''),
     ({'all_tags': '"highway"=>"track", "name"=>"a \\"b\\", c", "x"=>NULL, "oneway"=>"yes"'},
@@ -149,7 +134,7 @@ def rules(*given):
     ({'featurecla': 'Road', 'type': 'Ferry, seasonal'},
      {'featurecla': 'Road', 'type': 'Track'}, NONE, TWO_WAY),
     ({'featurecla': 'Railroad'}, {'featurecla': 'Road', 'type': 'Bypass'}, NONE, TWO_WAY),
-    ({}, {}, BOTH, 'its lines have no attributes'), ({'ID': 7}, {'ID': 8}, BOTH, 'no attributes'),
+    ({'ID': 7}, {'ID': 8}, BOTH, 'its lines have no attributes'),
 ])
 def test_roads_of_other_data(tags, around, drivable, words):
     found, _, said = read(table(tags, around))
@@ -171,10 +156,7 @@ def test_what_the_caller_declares(options, tags, around, drivable):
 
 
 @pytest.mark.parametrize('name', [
-    'DIR_TRAVEL', 'direction', 'sens_de_circulation', 'one_way_street', 'RIJRICHTNG', 'AJOSUUNTA',
-    'SUMMARYDIR', 'sentido', 'TRAFFIC_FLOW', 'reverse_cost', 'Kierunek', 'KJORERETNI', 'twoway',
-    'access_restrictions', 'FAHRTRICHT', 'yon', 'направление', 'IRANY', 'SUUND', 'virziens',
-    'mot_chieu', 'κατεύθυνση'])
+    'DIR_TRAVEL', 'sens_de_circulation', 'RIJRICHTNG', 'reverse_cost', 'twoway', 'направление'])
 def test_columns_that_may_say_directions_are_refused(name):
     with pytest.raises(InvalidOption, match=f'may say directions: {name} has .*--two-way'):
         read(table({'highway': 'primary', name: '2'}))
@@ -188,9 +170,8 @@ def test_columns_that_say_no_directions_are_not(tags):
 
 
 @pytest.mark.parametrize(('name', 'values', 'speed', 'words'), [
-    ('speed_kph', (36.0, 36.0), 10.0, ''), ('SPEED_KPH', ('36', '36'), 10.0, ''),
-    ('speed_mph', (10, 10), 4.4704, ''), ('speed_mps', (7.5, 7.5), 7.5, ''),
-    ('SpeedKPH', (36, 36), 10.0, 'read as speed_kph'), ('speed-kmh', (18, 18), 5.0, 'speed_kmh'),
+    ('SPEED_KPH', ('36', '36'), 10.0, ''), ('speed_mps', (7.5, 7.5), 7.5, ''),
+    ('speed-kmh', (18, 18), 5.0, 'read as speed_kmh'),
     ('speed_kph', ('36 km/h', '10 mph'), 4.4704, ''),
     ('speed_kph', ('36', '10 knots'), None, 'must be numbers'),
     ('speed_kph', (36.0, None), None, '1 of 2 lines have no speed'),
@@ -246,23 +227,17 @@ def test_names_and_places_of_an_openstreetmap_file_are_those_of_its_plan(tmp_pat
     ([(400.0, -50.0), (420.0, 50.0)], {}, 1), ([(200.0, 0.0), (200.0, 50.0)], {}, 1),
     ([(100.0, 50.0), (100.0, -50.0), (300.0, -50.0), (300.0, 50.0)], {}, 2),
     ([(400.0, -50.0), (400.0, 50.0)], {'bridge': 'yes'}, 0),
-    ([(400.0, -50.0), (420.0, 50.0)], {'tunnel': 'yes'}, 0),
     ([(400.0, -50.0), (420.0, 50.0)], {'layer': '1'}, 0),
     ([(400.0, -50.0), (420.0, 50.0)], {'layer': '0', 'bridge': 'no'}, 1),
     ([(400.0, -50.0), (400.0, 0.0), (400.0, 50.0)], {}, 0),  # a junction
     ([(900.0, -50.0), (900.0, 50.0)], {}, 0), ([(0.0, 0.0), (0.0, -90.0)], {}, 0),
     ([(300.3, 80.0), (300.0, 0.03)], {}, 1), ([(300.3, 80.0), (300.0, 0.3)], {}, 0),
     ([(300.3, 80.0), (300.0, -0.02)], {}, 1), ([(800.03, 0.0), (900.0, 0.0)], {}, 1),
-    ([(300.3, 80.0), (300.0, 0.03)], {'layer': '1'}, 0),
     ([(800.0, 0.0), (800.02, 0.0), (800.04, 0.0), (900.0, 50.0)], {}, 0),  # short pieces
 ])
-@pytest.mark.parametrize('crs', [CRS, 'EPSG:4326'])
-def test_crossings_without_a_shared_vertex_are_counted_or_joined(second, tags, count, crs):
-    scale = 1.0 if crs == CRS else 1e-5
+def test_crossings_without_a_shared_vertex_are_counted_or_joined(second, tags, count):
     lines = table(tags, shape=second).assign(highway='primary')
     lines.geometry = [LineString(STRAIGHT), LineString(second)]
-    lines = lines.set_geometry(lines.scale(scale, scale, origin=(0, 0))).set_crs(
-        crs, allow_override=True)
     *_, said = read(lines)
     assert (f'at {count} places' in said) == (count > 0)
     roads = read_roads(lines, node_crossings=True)
@@ -270,9 +245,8 @@ def test_crossings_without_a_shared_vertex_are_counted_or_joined(second, tags, c
     meets = count > 0 or {(400.0, 0.0), (0.0, 0.0), (800.0, 0.0)}.intersection(second)
     assert networkx.number_connected_components(graph) == (1 if meets else 2)
     assert networkx.cycle_basis(graph) == [] or count == 2
-    if crs == CRS:  # else in degrees
-        length = np.hypot(*np.diff(roads.points[roads.pairs], axis=1)[:, 0].T).sum()
-        assert length == pytest.approx(lines.length.sum(), rel=1e-3)
+    length = np.hypot(*np.diff(roads.points[roads.pairs], axis=1)[:, 0].T).sum()
+    assert length == pytest.approx(lines.length.sum(), rel=1e-3)
     assert read(lines, node_crossings=True)[2] == ''
 
 
@@ -298,21 +272,6 @@ def test_roads_at_different_heights_do_not_meet(heights, more, parts, words, ver
     assert networkx.number_connected_components(graph) == parts + (
         not vertex and 'layer' in more)
     assert (words in said) or not vertex
-
-
-def test_side_roads_that_end_on_a_road_to_rounding_meet_it():
-    rng = np.random.default_rng(0)
-    shapes = []
-    for k, share in enumerate(rng.uniform(0.1, 0.9, 100)):
-        begin, end = np.array([(0.0, 60.0 * k), (1000.0, 60.0 * k + 13.0)]) + 455000.123
-        at = begin + share * (end - begin) + rng.normal(0.0, 1e-9, 2)
-        shapes += [LineString((begin, end)), LineString((at, at + rng.uniform(5.0, 20.0, 2)))]
-    for crs in (CRS, 'EPSG:4326'):
-        lines = geopandas.GeoDataFrame({'highway': ['road'] * 200}, geometry=shapes, crs=CRS)
-        lines = lines.to_crs(crs)
-        assert 'cross or touch at 100 places' in heard(read_roads, lines)[1]
-        joined = networkx.Graph(map(tuple, read_roads(lines, True).pairs.tolist()))
-        assert networkx.number_connected_components(joined) == 100
 
 
 def test_lines_across_the_antimeridian_join():

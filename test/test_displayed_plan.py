@@ -7,7 +7,6 @@ from contextlib import contextmanager
 import interfaces
 import numpy as np
 import pytest
-from nav_msgs.srv import GetPlan
 from rclpy.qos import QoSProfile
 from robots import Robot
 from ros_harness import (
@@ -29,7 +28,6 @@ from ambush_planner.parameters import values as parameter_values
 from ambush_planner.recordings.recorded_departure import read_departure
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import subscriptions
-from ambush_planner.ros.current_map import CurrentMap
 from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
 
@@ -137,19 +135,6 @@ def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running, 
     assert client.call('new_route').success
 
 
-def test_a_background_solve_that_fails_says_nothing_of_another_plan(running, submitted):
-    client, request = running.client, GetPlan.Request(start=START, goal=pose(3.5, 2.5))
-    with held(WorkerProcess, 'solve'):
-        update(client, 10, 0, np.full((20, 1), 100))
-        client.diagnostics(stale='yes', state='solving')
-        asked = client.send('get_plan', request)
-        wait_until(lambda: len(submitted) == 2, 'its solve, which comes first')
-    wait_until(asked.done, 'a departure on the new map')
-    client.diagnostics(state='ready', departures='2')
-    assert client.call('get_plan', request).plan.poses
-    client.diagnostics(stale='no', departures='3')
-
-
 @contextmanager
 def maps_read_slowly(running):
     """Hold up the thread that reads maps once it has begun; more arrives meanwhile."""
@@ -185,20 +170,6 @@ def test_maps_and_updates_count_in_the_order_in_which_they_were_sent(running, ne
     wait_until(lambda: np.array_equal(current_values(running), wanted), 'the newest cells')
 
 
-def test_updates_that_wait_are_taken_at_once(running, monkeypatch):
-    client, copies = running.client, []
-    copy = CurrentMap.updated
-    monkeypatch.setattr(CurrentMap, 'updated', lambda *given: (copies.append(1), copy(*given))[1])
-    wanted = FLAT + 1
-    with maps_read_slowly(running):
-        for number in range(100):
-            update(client, number % 20, number // 20, [[number]])
-            wanted[number // 20, number % 20] = number
-        waiting(running, 100)
-    wait_until(lambda: np.array_equal(current_values(running), wanted), 'all of them')
-    assert len(copies) == 1
-
-
 def test_updates_that_were_lost_are_said_until_the_next_whole_map(monkeypatch):
     monkeypatch.setattr(subscriptions, 'UPDATES', QoSProfile(depth=5))
     with stage() as running:
@@ -214,28 +185,6 @@ def test_updates_that_were_lost_are_said_until_the_next_whole_map(monkeypatch):
                    in client.diagnostics()['message'], 'the warning')
         client.publish('alpha_map', risk_grid(FLAT))
         wait_until(lambda: 'were lost' not in client.diagnostics()['message'], 'its end')
-
-
-@pytest.fixture(scope='module')
-def still():
-    with stage() as running:
-        running.give(risk_grid(FLAT))
-        yield running
-
-
-@pytest.mark.parametrize('x, y, values, frame, words', [
-    (18, 0, [[1, 2, 3]], 'map', r'3 x 1 cells from \(18, 0\) do not fit into .* 20 x 20'),
-    (0, 0, [[101]], 'map', 'cell values must be in -1..100, got 101'),
-    (0, 0, [[1]], 'odom', "frame is 'odom'"),
-])
-def test_updates_that_do_not_fit_are_refused_and_the_map_stays(still, x, y, values, frame, words):
-    client = still.client
-    update(client, x, y, values, frame)
-    report = client.diagnostics(code='INVALID_MAP')
-    assert re.search(words, report['message'])
-    assert (current_values(still) == FLAT).all()
-    update(client, 0, 0, [[10]])
-    client.diagnostics(code='NONE')
 
 
 def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp_path):

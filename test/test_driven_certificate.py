@@ -88,7 +88,7 @@ def anywhere(risk_map, rng):
 
 
 @pytest.mark.parametrize(('ground', 'tube', 'tracking_error'), [
-    (strewn, 1.0, 0.0), (gates, None, 0.0), (hills, None, 2.0)])
+    (strewn, 1.0, 0.0), (hills, None, 2.0)])
 def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube, tracking_error):
     a_plan = planned(ground, REACH, tube, tracking_error)
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
@@ -112,9 +112,8 @@ def test_by_default_no_ambush_costs_more_than_the_value_wherever_it_waits(ground
     assert mean.max() > 0.8 * a_plan.value
 
 
-@pytest.mark.parametrize('ground', [hills, gates])
-def test_without_a_reach_no_ambush_costs_more_than_the_value(ground):
-    a_plan, near = planned(ground, 0.0, None), PASSES * SPACING
+def test_without_a_reach_no_ambush_costs_more_than_the_value():
+    a_plan, near = planned(gates, 0.0, None), PASSES * SPACING
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
     mean, error = losses(a_plan, [dense(path[:, :2], near / 2) for path in paths], near)
     assert (mean - 4 * error).max() <= a_plan.strategy.value

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from drive_samples import between, check_path, dense, distance_to, drives, length_of, some_route
 from games import examples
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import minimize
 
 from ambush_planner import NetworkOptions, RiskMap, build_network
 from ambush_planner.maps.obstacles import ObstacleField
@@ -22,7 +21,7 @@ from ambush_planner.routes.driven_path import (
     tight_turns,
     turn_radii,
 )
-from ambush_planner.routes.taut_string import portals_along, taut_strings
+from ambush_planner.routes.taut_string import portals_along
 
 
 @examples(25)
@@ -125,64 +124,3 @@ def test_paths_made_together_match_single_ones(drive, radius):
     paths = driven_paths(corridors, routes, 0.3, radius)
     for path, route in zip(paths, routes, strict=True):
         np.testing.assert_allclose(path, driven_path(corridors, route, 0.3, radius), atol=1e-12)
-
-
-def test_unneeded_nodes_are_skipped_only_without_a_tube():
-    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    network = corridors.network
-    links = {tuple(link) for link in corridors.links.tolist()}
-    left_out = 0
-    for seed in range(10):
-        route = some_route(network, seed)
-        shorter = corridors.shorten(route)
-        assert set(shorter.tolist()) <= set(route.tolist())
-        assert shorter[[0, -1]].tolist() == route[[0, -1]].tolist()
-        assert {*itertools.pairwise(shorter.tolist())} <= links
-        assert not any((shorter[k], shorter[k + 2]) in links for k in range(len(shorter) - 2)
-                       if longer(network, shorter[k : k + 3]))
-        left_out += len(route) - len(shorter)
-    assert left_out > 0
-    kept = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=0.4)
-    assert np.array_equal(kept.shorten(route), route)
-
-
-def longer(network, three):
-    a, b, c = network.points[three]
-    return np.hypot(*(b - a)) + np.hypot(*(c - b)) > np.hypot(*(c - a)) + 1e-9
-
-
-def string(portals, margin):
-    """The corners (C, 2) of the taut string."""
-    ends = {side: portals.places(margin, side) for side in (1, -1)}
-    (corners,) = taut_strings(portals, margin, [0])
-    return np.array([ends[side or 1][k] for k, side in corners])
-
-
-@examples(20)
-@given(drives, st.floats(0.0, 0.45))
-def test_the_taut_string_is_the_shortest_line_through_the_portals(drive, share):
-    corridors, route = drive[:2]
-    assume(len(route) > 2)
-    assert_taut(portals_along(corridors, [route]), share)
-
-
-def assert_taut(portals, share):
-    """The string is as short as a general minimiser finds, over one place on each portal."""
-    margin = share * portals.width
-    low, high = (margin - portals.right)[1:-1], (portals.left - margin)[1:-1]
-
-    def length(t):
-        points = portals.nodes.copy()
-        points[1:-1] += t[:, None] * portals.leftward[1:-1]
-        steps = np.diff(points, axis=0)
-        size = np.hypot(*steps.T)
-        pull = -np.diff(steps / size[:, None], axis=0)
-        return size.sum(), (pull * portals.leftward[1:-1]).sum(axis=1)
-
-    found = minimize(
-        length, (low + high) / 2, jac=True, method='L-BFGS-B',
-        bounds=np.stack((low, high), axis=1), options={'ftol': 1e-15, 'maxiter': 5000},
-    )
-    size = length_of(string(portals, margin))
-    assert size == pytest.approx(found.fun, rel=1e-5)
-    assert size <= found.fun * (1 + 1e-9)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commands import run_here
-from games import examples, plain_options, planar_network, routes_of, value_by_routes
+from games import examples, plain_options, planar_network, reached, routes_of, value_by_routes
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -17,7 +17,6 @@ from ambush_planner import (
     AmbushPlannerWarning,
     GameOptions,
     InvalidOption,
-    NetworkOptions,
     PlanningOptions,
     RiskMap,
     StrategyOptions,
@@ -58,18 +57,7 @@ def found(yard):
     return places_to_hold(yard, START, GOAL, RADIUS, 2, OPTIONS)
 
 
-def exposed_hits(network, reach, discs):
-    """(N, M): whether an edge, outside held discs (x, y, radius), comes into reach of a node."""
-    share = np.linspace(0.0, 1.0, 1501)[:, None, None]
-    at = network.points[network.tails] * (1.0 - share) + network.points[network.heads] * share
-    out = np.all([np.hypot(*np.moveaxis(at - (x, y), 2, 0)) > r for x, y, r in discs], axis=0)
-    free = np.all([np.hypot(*(network.points - (x, y)).T) > r for x, y, r in discs], axis=0)
-    near = [(out & (np.hypot(*np.moveaxis(at - node, 2, 0)) <= reach)).any(axis=0)
-            for node in network.points]
-    return np.array(near) & free[:, None]
-
-
-@examples(25)
+@examples(15)
 @given(st.integers(0, 10**6), st.floats(0.3, 1.2), st.sampled_from((1.1, np.inf)))
 def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour):
     """With held places; what the ambusher of the game without them proves is below, too."""
@@ -81,8 +69,7 @@ def test_value_and_bound_enclose_the_value_over_all_routes(seed, reach, detour):
     before = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5), options)
     strategy = solve(network, GameOptions(ambush_radius=reach, secured_radius=0.5,
                                           secured_places=places), options)
-    ends = [(*network.points[end], 0.5) for end in (network.source, network.target)]
-    near = exposed_hits(network, reach, [*ends, *places])
+    near = reached(network, reach, 0.5, held=places)
     limits = [(network.lengths, strategy.length_budget)]
     once = value_by_routes(network.alpha, near, routes, limits)
     assert strategy.lower_bound == pytest.approx(once, rel=2e-3, abs=1e-7)
@@ -114,7 +101,7 @@ def test_each_step_is_the_plan_with_its_places_held_and_the_value_does_not_rise(
             (plan.strategy.value, plan.strategy.lower_bound), rel=1e-12)
 
 
-@pytest.mark.parametrize(('games', 'steps'), [(0, 0), (1, 1), (3, 1)])
+@pytest.mark.parametrize(('games', 'steps'), [(0, 0), (3, 1)])
 def test_when_the_time_is_up_it_is_the_best_so_far(yard, monkeypatch, games, steps):
     """The clock ends it after some games; each has the time that is left of one limit."""
     ends, begin = [], time.monotonic()
@@ -218,17 +205,3 @@ def test_unusable_places_are_refused(tmp_path, text, reason):
     ground = RiskMap(np.ones((20, 30)), np.zeros((20, 30), bool), 1.0)
     with pytest.raises(InvalidFeatures, match=reason):
         hold.read_places(str(tmp_path / 'p.csv'), ground)
-
-
-def test_options_have_the_names_of_parameters():
-    of_map, of_plan = options_of(['map.alpha_max=5', 'strategy.max_detour=.inf',
-                                  'network.spacing=1e1', 'network.method=uniform_grid8',
-                                  'network.target_nodes=99'])
-    assert of_map.alpha_max == 5.0 and of_plan.strategy.max_detour == np.inf
-    assert of_plan.network == NetworkOptions(method='uniform_grid8', spacing=10.0, target_nodes=99)
-    for assignment, reason in (('network.spacing', 'network.spacing=VALUE'),
-                               ('spacing=3', 'did you mean'),
-                               ('network.target_nodes=2.5', 'a whole number'),
-                               ('strategy.max_detour=0.5', 'strategy.max_detour must')):
-        with pytest.raises(InvalidOption, match=reason):
-            options_of([assignment])

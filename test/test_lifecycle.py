@@ -6,18 +6,16 @@ from collections import Counter
 from unittest.mock import Mock
 
 import interfaces
-import pytest
 from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
 from rclpy.service import Service
 from ros_harness import GOAL, LATCHED, LONG, START, recorded, stage, threads, wait_until
-from waiting import TIMEOUT, answer_of, held
+from waiting import answer_of
 
 from ambush_planner.errors import AmbushPlannerError
-from ambush_planner.recordings import durable_files
-from ambush_planner.ros import planner_node, recordings
+from ambush_planner.ros import planner_node
 
 WAITING = {'autostart': False}
 
@@ -185,65 +183,6 @@ def test_a_failed_configuration_says_why_and_leaves_nothing(monkeypatch):
         assert threads() == before
         monkeypatch.undo()
         start(running)
-        assert running.give().call('new_route').success
-
-
-def test_transitions_do_not_wait_for_a_disk(tmp_path, monkeypatch):
-    """The queue of recordings is full, and a departure waits for room in it."""
-    monkeypatch.setattr(recordings, '_MAX_WAIT', 10 * TIMEOUT)
-    monkeypatch.setattr(planner_node, '_LAST_RECORDINGS_TIME', TIMEOUT)
-    with stage(tmp_path) as running:
-        client, manager = running.give(), Manager(running.client)
-        assert client.call('new_route').success
-        wait_until(lambda: not running.planner._recordings[0]._unwritten, 'the recording')
-        with held(durable_files.os, 'fsync'):
-            for _ in range(4):
-                assert client.call('new_route').success
-            waits = client.send('new_route')
-            manager.go(deactivate='inactive')
-            wait_until(waits.done, 'an answer')
-            assert 'inactive' in waits.result().message
-            manager.go(cleanup='unconfigured', configure='inactive', activate='active')
-    recorded(tmp_path, 5)
-
-
-def test_a_recording_that_fails_after_cleanup_says_nothing_of_the_next_configuration(
-        tmp_path, monkeypatch):
-    with stage(tmp_path) as running:
-        client, manager = running.give(), Manager(running.client)
-        (old,) = running.planner._recordings
-        with monkeypatch.context() as patch:
-            patch.setattr(durable_files.os, 'replace', Mock(side_effect=OSError(28, 'no space')))
-            with held(durable_files.os, 'fsync') as (stuck, _):
-                assert client.call('new_route').success
-                wait_until(stuck.is_set, 'a recording')
-                manager.go(deactivate='inactive', cleanup='unconfigured', configure='inactive',
-                           activate='active')
-            wait_until(lambda: not old.alive, 'its end')
-        client.last('/diagnostics', len(client.received['/diagnostics']) + 1)
-        client.diagnostics(recording='on', code='NONE')
-
-
-@pytest.mark.parametrize('method, transition', [
-    ('_deactivate', 'deactivate'), ('stop', 'cleanup')])
-def test_a_transition_that_fails_leaves_an_unconfigured_node(monkeypatch, method, transition):
-    def broken(*_):
-        raise AmbushPlannerError('no good')
-
-    with stage() as running:
-        client, manager = running.give(), Manager(running.client)
-        dispatcher = running.planner._dispatcher
-        if transition == 'cleanup':
-            manager.go(deactivate='inactive')
-        with monkeypatch.context() as patch:
-            patch.setattr(type(running.planner if transition == 'deactivate' else dispatcher),
-                          method, broken)
-            assert not manager.change(transition)
-        if method == 'stop':
-            dispatcher.close()
-        assert manager.state == 'unconfigured'
-        assert 'no good' in client.diagnostics(state='unconfigured')['message']
-        manager.go(configure='inactive', activate='active')
         assert running.give().call('new_route').success
 
 

@@ -64,7 +64,7 @@ def test_length_weight_minimises_the_weighted_sum(network, weight, solver):
     own = weighted(strategy.value, strategy.expected_length)
     for detour in (1.0001, 1.1, 1.5, 3.0):
         budget = detour * shortest
-        assert own <= weighted(lp_value(network, None, budget), budget) * (1 + 1e-6) + 1e-7
+        assert own <= weighted(lp_value(network, budget), budget) * (1 + 1e-6) + 1e-7
     assert strategy.lower_bound <= strategy.value
 
 

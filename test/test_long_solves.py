@@ -73,12 +73,6 @@ def test_everything_else_answers_during_a_solve(submitted):
         client.diagnostics(code='CANCELLED', state='ready')
 
 
-def test_the_time_limit_ends_a_solve():
-    with solving({**SLOW, 'max_planning_time': 1.0}, halted=False) as (running, future):
-        assert answer(future).message.startswith('no plan after max_planning_time, 1 s')
-        running.client.diagnostics(code='TIMEOUT', state='ready')
-
-
 def test_starts_that_differ_little_share_a_solve():
     with stage(parameters=QUICK) as running:
         client = running.give(field(), (5.0, 50.0), (95.0, 50.0))

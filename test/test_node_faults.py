@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from nav_msgs.srv import GetPlan
 from recording_samples import read_with_rosbags
-from robots import ROBOT, Robot
-from ros_harness import FLAT, GOAL, START, free_domain, pose, risk_grid, stage, wait_until
+from ros_harness import FLAT, GOAL, START, free_domain, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
 from waiting import TIMEOUT, held, stderr_in
 
@@ -20,7 +19,6 @@ from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import recordings as recordings_module
-from ambush_planner.ros.departures import Departures, OutOfDate
 
 
 def recordings(directory):
@@ -166,49 +164,6 @@ def assert_clear(path, values):
 
 
 DENSE = {'route.path_spacing': 0.05, 'replan.tolerance': 1e9}
-
-
-def test_a_departure_that_waits_for_the_disk_is_drawn_after_the_wait(tmp_path, monkeypatch):
-    """On the map and from the place of then; a robot on its way waits for nobody's recording."""
-    with stage(tmp_path / 'runs', {**ROBOT, **DENSE}) as running:
-        client, robot = running.client, Robot(running)
-        robot.is_at(1.5, 5.5)
-        running.know(FLAT)
-        here = pose(0.0, 0.0, frame='base_link')
-        whole = path_from_ros(client.get_plan(here, GOAL))
-        with hung_disk(running, monkeypatch, 10 * TIMEOUT) as go_on:
-            for _ in range(4):
-                departs(client)
-            request = GetPlan.Request(start=START, goal=GOAL)
-            waits = client.send('get_plan', request)
-            robot.is_at(*whole[len(whole) // 3, :2])
-            rest = client.get_plan(here, GOAL)
-            assert len(rest.poses) > 1 and not waits.done(), 'answered at once'
-            running.know(wall(10))
-            assert not waits.done()
-            go_on.set()
-            wait_until(waits.done, 'the answer')
-        assert waits.result().plan.poses
-        assert_clear(waits.result().plan, wall(10))
-
-
-def test_a_route_that_is_out_of_date_before_it_leaves_takes_no_number(tmp_path, monkeypatch):
-    clear, blocked = Departures._check_clear, iter([True, True])
-
-    def check(*arguments):
-        if next(blocked, False):
-            raise OutOfDate
-        clear(*arguments)
-
-    monkeypatch.setattr(Departures, '_check_clear', check)
-    with stage(tmp_path) as running:
-        client = running.give()
-        for _ in range(2):
-            departs(client)
-        client.diagnostics(departures='2')
-    verdicts = [Verifier().verify(path) for path in recordings(tmp_path)]
-    assert [each.metadata.departure for each in verdicts] == [1, 2]
-    assert all(each.holds for each in verdicts)
 
 
 def test_a_path_that_a_new_map_blocks_while_it_is_recorded_does_not_leave(tmp_path):

@@ -1,61 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
+"""What the diagnostics report: errors, warnings, levels; and how work in order ends."""
 
+from concurrent.futures import Future
 from types import SimpleNamespace
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_harness import (
-    Client,
-    free_domain,
-    pose,
-    risk_grid,
-    ros_context,
-    spinning,
-    stage,
-    threads,
-    wait_until,
-)
+from ros_harness import pose, risk_grid, stage, wait_until
 from waiting import stderr_in
 
-from ambush_planner.errors import AmbushPlannerError, InvalidOption
+from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.planning.changed_ground import Assessment
 from ambush_planner.ros import planner_node
 from ambush_planner.ros.diagnostics import Problem, Status, status_to_ros
-from ambush_planner.ros.planner_node import PlannerNode
+from ambush_planner.ros.serial_executor import SerialExecutor
 from ambush_planner.worker.solve_errors import SolveCancelled
-
-SMALL = [Parameter('network.spacing', value=1.0), Parameter('recording.enabled', value=False)]
-
-
-def test_an_executor_with_several_threads_works():
-    with free_domain() as domain, ros_context(domain) as own, ros_context(domain) as other:
-        planner = PlannerNode(context=own, parameter_overrides=SMALL)
-        node = Node('client', context=other)
-        with spinning(planner, MultiThreadedExecutor(3, context=own)):
-            client = Client(node)
-            with spinning(node, SingleThreadedExecutor(context=other)):
-                client.give()
-                futures = [client.send('new_route') for _ in range(5)]
-                assert not client.call('cancel').message.startswith('internal')
-                wait_until(lambda: all(each.done() for each in futures), 'the answers')
-                assert client.call('new_route').success
-                assert client.call('replan').success
-
-
-def test_a_start_that_fails_leaves_nothing():
-    before = threads()
-    with free_domain() as domain, ros_context(domain) as context:
-        with pytest.raises(InvalidOption):
-            PlannerNode(context=context,
-                        parameter_overrides=[Parameter('recording.directory', value=' ')])
-        assert threads() == before
 
 
 def test_an_error_of_a_request_disappears_and_a_bad_map_stays(monkeypatch):
@@ -72,6 +35,20 @@ def test_an_error_of_a_request_disappears_and_a_bad_map_stays(monkeypatch):
         client.diagnostics(code='INVALID_MAP', level=DiagnosticStatus.ERROR)
         client.publish('alpha_map', risk_grid())
         client.diagnostics(code='NONE')
+
+
+def test_an_error_of_any_work_reaches_somebody_and_so_does_the_end():
+    errors, future, late, cancelled = [], Future(), Future(), Future()
+    executor = SerialExecutor('work', errors.append)
+    cancelled.cancel()
+    for each in (future, cancelled, None):
+        executor.submit(lambda: 1 / 0, *[each] if each else [])
+    executor.finish()
+    executor.close()
+    executor.submit(lambda: None, late)
+    assert isinstance(future.exception(0.0), ZeroDivisionError) and cancelled.cancelled()
+    assert [type(each) for each in errors] == [ZeroDivisionError]
+    assert isinstance(late.exception(0.0), SolveCancelled)
 
 
 @pytest.mark.parametrize('errors, level, code', [

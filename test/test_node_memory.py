@@ -10,8 +10,8 @@ from weakref import ref
 
 import pytest
 from robots import ROBOT
-from ros_harness import FLAT, pose, risk_grid, stage, wait_until
-from test_one_draw_a_trip import Drive, diverted
+from ros_harness import FLAT, pose, stage, wait_until
+from test_one_draw_a_trip import Drive
 
 from ambush_planner.ros import plan_cache
 
@@ -22,28 +22,6 @@ def no_collection():
     gc.disable()
     yield
     gc.enable()
-
-
-def test_a_plan_that_gives_way_to_others_is_freed(monkeypatch, no_collection):
-    monkeypatch.setattr(plan_cache, '_MAX_PLANS', 1)
-    with stage() as running:
-        client, plans = running.give(risk_grid(FLAT)), []
-        for y in range(2, 6):
-            assert client.get_plan(pose(1.5, 5.5), pose(8.5, y)).poses
-            plans.append(ref(running.planner._dispatcher._plans._plans[-1].plan))
-        wait_until(lambda: all(each() is None for each in plans[:-1]), 'the plans being freed')
-
-
-def test_the_maps_of_earlier_diversions_are_freed(no_collection):
-    with stage(parameters={**ROBOT, 'replan.tolerance': 1e9, 'seed': 1}) as running:
-        drive = Drive(running)
-        drive.begin()
-        rest, maps = drive.ask('continued'), []
-        for paths in (2, 3, 4):
-            rest = diverted(drive, rest, 0.2, paths)
-            maps.append(ref(running.planner._dispatcher.inputs.map))
-        wait_until(lambda: maps[0]() is None, 'the map being freed')
-        assert maps[-1]() is not None
 
 
 def test_trips_keep_neither_plans_nor_maps(monkeypatch, no_collection):
@@ -61,18 +39,3 @@ def test_trips_keep_neither_plans_nor_maps(monkeypatch, no_collection):
         wait_until(lambda: all(each() is None for each in maps[:-1]), 'the maps being freed')
         assert len(running.planner._dispatcher._departures.trips._trips) == 5
         robot.ask('continued', goal)
-
-
-def test_what_kept_plans_know_of_earlier_maps_is_freed(no_collection):
-    with stage() as running:
-        client, goals = running.give(risk_grid(FLAT)), [pose(8.5, y) for y in (2.5, 4.0, 5.5)]
-        changed = FLAT.copy()
-        changed[0, 0] = 100
-        for values in (FLAT, changed):
-            running.know(values)
-            for goal in goals:
-                assert client.get_plan(pose(1.5, 5.5), goal).poses
-        earlier = ref(running.planner._dispatcher.inputs.current_map())
-        running.know(FLAT)
-        client.get_plan(pose(1.5, 5.5), goals[0])  # the last departure keeps its map
-        wait_until(lambda: earlier() is None, 'the map being freed')

@@ -100,28 +100,6 @@ def test_departures_and_a_clean_exit(tmp_path):
     assert 'Traceback' not in said
 
 
-# Sends a signal at every call that the handler of another signal makes.
-NESTED = """
-import signal, sys
-from ambush_planner.ros.program import noted_signals
-came, depth = noted_signals(), []
-def at_call(frame, event, _):
-    if event == 'call' and len(depth) < 20:
-        depth.append(frame)
-        signal.raise_signal(signal.SIGINT)
-sys.setprofile(at_call)
-signal.raise_signal(signal.SIGTERM)
-sys.setprofile(None)
-print(sorted(set(came)))
-"""
-
-
-def test_a_signal_may_interrupt_the_handler_of_another():
-    done = subprocess.run([sys.executable, '-c', NESTED], capture_output=True, text=True,
-                          timeout=TIMEOUT, check=True)
-    assert done.stdout == f'{[signal.SIGINT.value, signal.SIGTERM.value]}\n'
-
-
 # Says when signals are noted, and then hangs.
 HANGS = """
 import sys

@@ -4,13 +4,13 @@
 import json
 import math
 from contextlib import contextmanager
+from functools import cached_property
 from importlib import import_module
 from itertools import pairwise
 from unittest import mock
 
 import numpy as np
 import pytest
-from action_msgs.msg import GoalStatus
 from commands import run_here
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
@@ -24,7 +24,6 @@ from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import durable_files
 from ambush_planner.recordings.recorded_departures import read_departures, together
 from ambush_planner.recordings.verify import Verifier
-from ambush_planner.ros import departures
 from ambush_planner.ros import recordings as recordings_module
 from ambush_planner.worker.process import WorkerProcess
 
@@ -54,6 +53,16 @@ class Drive:
         path = self.client.get_plan(self.here, goal)
         self.client.diagnostics(last_answer=answer)
         return path_from_ros(path)
+
+    @cached_property
+    def through_poses(self):
+        return Goals(self.running, 'poses')
+
+    def ask_through(self, *poses):
+        """The path (L, 3) of the action through poses, and its message."""
+        goals = self.through_poses
+        result = goals.result(goals.send(start=None, goals=list(poses)))[1]
+        return path_from_ros(result.path), result.error_msg
 
     def block(self, row, column):
         """Put an obstacle into cells of the map, and wait until the planner knows it."""
@@ -133,39 +142,6 @@ def test_a_robot_that_asks_again_while_its_departure_is_recorded_departs_once(tm
         assert all(np.isin(each[1:-1, 0], drawn[:, 0]).all() for each in rests)
         drive.departures(1)
         assert len(client.received['path']) == 1 == len(recorded(tmp_path, 1))
-
-
-def test_a_new_goal_leaves_a_departure_alone_that_is_being_recorded(tmp_path):
-    with stage(tmp_path, parameters={**ROBOT, 'recording.required': True}) as running:
-        drive = Drive(running)
-        goals = Goals(running)
-        drive.arrive()
-        with slow_disk() as (asked, go_on):
-            first = goals.send(start=None)
-            wait_until(asked.is_set, 'a recording')
-            second = goals.send(start=None, goal=pose(8.5, 2.0))
-            go_on.set()
-        for goal in (first, second):
-            assert goals.result(goal)[0] == GoalStatus.STATUS_SUCCEEDED
-        drive.departures(2)
-        assert len(drive.client.received['path']) == 2 == len(recorded(tmp_path, 2))
-
-
-def test_a_departure_that_deactivation_stops_leaves_no_file(tmp_path):
-    with stage(tmp_path, parameters={'recording.required': True}) as running:
-        client = running.give()
-        assert client.call('new_route').success
-        with slow_disk() as (asked, go_on):
-            waiting = client.send('new_route')
-            wait_until(asked.is_set, 'a recording')
-            running.planner.trigger_deactivate()
-            go_on.set()
-            wait_until(waiting.done, 'an answer')
-        assert 'inactive' in waiting.result().message
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the end of the other file')
-        assert len(client.received['path']) == 1
-        (listed,) = tmp_path.rglob('metadata.yaml')
-        wait_until(lambda: listed.read_text().count('"path"') == 1, 'the list')
 
 
 def test_new_routes_and_robots_elsewhere_are_departures_and_each_robot_has_its_own(drive):
@@ -255,23 +231,6 @@ def test_a_diversion_stays_within_the_plan_and_is_recorded_verified_and_audited_
     assert missing == f'missing: what {files[2].name} was diverted from'
 
 
-def test_a_diversion_that_is_cancelled_in_time_is_none(tmp_path):
-    with stage(tmp_path, parameters=ROBOT) as running:
-        drive = Drive(running)
-        whole = drive.begin()
-        goals = Goals(running)
-        drive.robot.is_at(*whole[len(whole) // 4, :2])
-        drive.block(*cell(whole, len(whole) // 2))
-        with held(departures, 'other_rest') as (drawn, _):
-            goal = goals.send(start=None)
-            wait_until(drawn.is_set, 'the draw')
-            assert goals.cancel(goal) == 1
-        assert goals.result(goal)[0] == GoalStatus.STATUS_CANCELED
-        drive.ask('diverted')
-        assert len(drive.client.received['path']) == 2
-    recorded(tmp_path, 2)
-
-
 def test_a_wall_across_all_routes_of_the_plan_makes_a_new_one(drive):
     drive.begin()
     drive.block(np.s_[:19], 10)
@@ -315,74 +274,41 @@ def test_a_trip_with_stops_is_continued_through_those_that_remain():
     stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
     with stage(parameters={**ROBOT, 'route.path_spacing': 0.25}) as running:
         drive = Drive(running)
-        goals = Goals(running, 'poses')
         drive.begin()
-
-        def asked(*poses):
-            result = goals.result(goals.send(start=None, goals=list(poses)))[1]
-            return path_from_ros(result.path), result.error_msg
-
-        whole, said = asked(*stops, GOAL)
+        whole, said = drive.ask_through(*stops, GOAL)
         assert said == ''
         met = [int(np.hypot(*(whole[:, :2] - place).T).argmin())
                for place in ((3.0, 8.0), (6.0, 8.5))]
         for at, rest in ((met[0] // 2, stops), (met[0] + 3, stops), (met[0] + 3, stops[1:]),
                          (met[1] + 3, [])):
             drive.robot.is_at(*whole[at, :2])
-            path, said = asked(*rest, GOAL)
+            path, said = drive.ask_through(*rest, GOAL)
             assert said == 'departure 2 continued'
             assert_rest(path, whole, at)
         drive.block(*cell(whole, (met[1] + len(whole)) // 2))
-        path, said = asked(GOAL)
+        path, said = drive.ask_through(GOAL)
         assert 'departure 2 diverted' in said
         drive.robot.is_at(*path[len(path) // 2, :2])
-        assert asked(GOAL)[1] == asked(*stops, GOAL)[1] == 'departure 2 continued'
-
-
-class Tour(Drive):
-    """A robot that asks for paths through stops, by the action."""
-
-    def __init__(self, running, *poses):
-        super().__init__(running)
-        self.goals = Goals(running, 'poses')
-        self.poses = poses
-        self.arrive()
-
-    def send(self):
-        return self.goals.send(start=None, goals=list(self.poses))
-
-    def take(self, handle):
-        """The path and the message of an answer."""
-        result = self.goals.result(handle)[1]
-        return path_from_ros(result.path), result.error_msg
+        for poses in ((GOAL,), (*stops, GOAL)):
+            assert drive.ask_through(*poses)[1] == 'departure 2 continued'
 
 
 def test_a_tour_is_drawn_again_for_a_robot_that_has_stood_at_its_end():
     """The last requests of Nav2's trees still name stops."""
     with stage(parameters=ROBOT) as running:
-        tour = Tour(running, pose(5.0, 8.0), GOAL)
-        whole, _ = tour.take(tour.send())
+        drive, tour = Drive(running), (pose(5.0, 8.0), GOAL)
+        drive.arrive()
+        whole, _ = drive.ask_through(*tour)
         for at in (len(whole) // 4, len(whole) // 2, 3 * len(whole) // 4):
-            tour.robot.is_at(*whole[at, :2])
-            assert tour.take(tour.send())[1] == 'departure 1 continued'
-        tour.robot.is_at(7.95, 5.9)
-        assert tour.take(tour.send())[1] == 'departure 1 continued', 'it still drives'
+            drive.robot.is_at(*whole[at, :2])
+            assert drive.ask_through(*tour)[1] == 'departure 1 continued'
+        drive.robot.is_at(7.95, 5.9)
+        assert drive.ask_through(*tour)[1] == 'departure 1 continued', 'it still drives'
         (trip,) = running.planner._dispatcher._departures.trips._trips
-        wait_until(lambda: tour.robot.moves_to(7.95, 5.9) or trip.track.arrived, 'standing')
-        path, said = tour.take(tour.send())
+        wait_until(lambda: drive.robot.moves_to(7.95, 5.9) or trip.track.arrived, 'standing')
+        path, said = drive.ask_through(*tour)
         assert 'continued' not in said and tuple(path[0, :2]) == (7.95, 5.9)
-        tour.departures(2)
-
-
-def test_a_tour_that_ends_where_it_begins_is_one_departure(tmp_path):
-    """Nav2's controllers can take the robot to be at the end at once, and its trees ask again."""
-    with stage(tmp_path, parameters=ROBOT) as running:
-        tour = Tour(running, pose(5.0, 8.0), pose(1.6, 5.5))
-        whole, _ = tour.take(tour.send())
-        assert np.array_equal(tour.take(tour.send())[0][1:], whole[1:]), 'the same tour'
-        tour.departures(1)
-        (file,) = recorded(tmp_path, 1)
-    assert Verifier().verify(file).problems == []
+        drive.departures(2)
 
 
 def test_a_path_that_comes_back_past_the_robot_is_looked_at_from_where_it_is_now():
@@ -398,22 +324,14 @@ def test_a_path_that_comes_back_past_the_robot_is_looked_at_from_where_it_is_now
         assert not answer_of(service, kind.Request(path=path)).is_valid
 
 
-def test_robots_have_a_goal_each(drive):
+def test_robots_have_a_goal_each_and_requests_from_fixed_places_replace_none(drive):
+    """Nobody knows who sends the latter: the map's frame is no robot."""
     van = Robot(drive.running, 'van')
     drive.arrive()
     van.is_at(1.5, 2.5)
     goals = Goals(drive.running)
     with held(WorkerProcess, 'solve'):
-        sent = [goals.send(start=HERE), goals.send(start=pose(0.0, 0.0, frame='van'),
-                                                   goal=pose(8.5, 2.5))]
-    assert [goals.result(each)[1].error_msg for each in sent] == ['', '']
-
-
-def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once():
-    with stage(parameters=ROBOT) as running:
-        Drive(running).arrive()
-        goals = Goals(running)
-        handles = [goals.send(start=None) for _ in range(3)]
-        said = [goals.result(each)[1].error_msg for each in handles]
-        assert sorted(said) == ['', 'departure 1 continued', 'departure 1 continued']
-        running.client.diagnostics(departures='1')
+        sent = [goals.send(start=start, goal=pose(8.5, y)) for start, y in (
+            (HERE, 5.5), (pose(0.0, 0.0, frame='van'), 2.5), (pose(1.5, 4.5), 3.5),
+            (pose(1.5, 4.5), 8.5))]
+    assert [goals.result(each)[1].error_msg for each in sent] == [''] * 4

@@ -9,17 +9,14 @@ from commands import ROOT, run_here
 from games import plain_options
 
 from ambush_planner import GameOptions, PlanningOptions, Problem, plan_trip, solve_many
-from ambush_planner.commands import draw as draw_command
 from ambush_planner.commands import frontier as frontier_command
 from ambush_planner.commands import plan as plan_command
-from ambush_planner.commands import verify as verify_command
 from ambush_planner.maps.map_file import read_map
 from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.maps.risk_map_file import read_risk_map
 from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
-from ambush_planner.recordings.recorded_departure import read_departure
 
 YARD = ROOT / 'docs/yard.yaml'
 START, GOAL = (4.0, 20.0), (56.0, 20.0)
@@ -64,19 +61,3 @@ def test_commands(numbers, tmp_path):
                     '--detours', 1.2, '--slacks', 0.01, *SET)
     for row in json.loads(done.out)['rows']:
         assert (row['value'], row['lower_bound']) == same(numbers)
-
-
-def test_a_drawn_time_halves_the_number_at_each_door(numbers, tmp_path):
-    plan, halved = tmp_path / 'week.plan', same(0.5 * numbers[0])
-    done = run_here(plan_command, YARD, '--start', *START, '--goal', *GOAL, '--slots', '08:00',
-                    '09:00', '-o', plan, '--json', *SET[:3], '--set', SET[3])
-    planned = json.loads(done.out)
-    assert planned['value'] == halved
-    assert planned['best_ambush']['hit'] <= 0.5
-    assert run_here(draw_command, plan, '--map', YARD, '--date', '2099-01-01').code == 0
-    assert json.loads(run_here(verify_command, plan, '--json').out)[
-        'departures'][0]['value'] == halved
-    (recording,) = (tmp_path / 'week.departures').glob('*.mcap')
-    verified = json.loads(run_here(verify_command, recording, '--json').out)
-    assert verified['departures'][0]['value'] == verified['plans'][0]['value'] == halved
-    assert read_departure(recording).value == halved

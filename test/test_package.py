@@ -149,11 +149,15 @@ def test_a_checkout_without_metadata_can_be_imported(tmp_path):
     assert run_python(without).stdout.strip() == 'unknown'
 
 
-def test_the_node_starts_where_only_rosdep_has_installed():
-    """Without the libraries that only pip has, it can be imported."""
+def test_the_node_starts_where_only_rosdep_has_installed(tmp_path):
+    """Without the libraries that only pip has, it can be imported; a recording names what lacks."""
     missing = {*FROM_PIP, 'highspy', 'threadpoolctl'}
     done = run_python(f'import sys; sys.modules.update(dict.fromkeys({missing!r}))\n'
                       'from ambush_planner.arrays import single_thread\n'
                       'import ambush_planner.ros.planner_node, ambush_planner.worker.child\n'
-                      'with single_thread(): print("ready")')
+                      'from ambush_planner.recordings.recorder import Recorder\n'
+                      'with single_thread(): print("ready")\n'
+                      f'Recorder({str(tmp_path)!r}).record_departure([], {{}}, {{}})')
     assert done.stdout == 'ready\n', done.stderr
+    assert done.stderr.strip().endswith(
+        'is not installed; try: pip install mcap-ros2-support, or set recording.enabled to false')

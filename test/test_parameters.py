@@ -80,10 +80,8 @@ def test_defaults_are_the_cores_own():
     ({'strategy__length_weight': 0.01, 'strategy__solver': 'max_entropy'},
      'strategy.length_weight 0.01 needs the strategy.solver'),
     *(({name: value}, 'read-only') for name, value in (
-        ('seed', 7), ('path__publish', False), ('parameters__locked', True),
-        ('recording__enabled', False), ('recording__directory', '/tmp'),
-        ('recording__compression', 'lz4'), ('recording__required', True),
-        ('network__graph', '/roads.gpkg'), ('network__two_way', True))),
+        ('seed', 7), ('path__publish', False), ('recording__enabled', False),
+        ('network__graph', '/roads.gpkg'))),
 ])
 def test_bad_values_are_refused_with_the_reason(node, values, words):
     before = [node.get_parameter(name).value for name in PARAMETERS]

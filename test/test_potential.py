@@ -5,10 +5,7 @@ Its value is compared with that of all mixtures of routes in test_reach.
 """
 
 import math
-import time
-from dataclasses import replace
 
-import networkx
 import numpy as np
 import pytest
 from games import (
@@ -20,22 +17,17 @@ from games import (
     terrain_network,
     value_by_routes,
 )
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
-from test_routes import legs_on, worst_loss
-from test_trip import roads_of
 
-from ambush_planner import GameOptions, Network, SolverFailed, TimeLimit
-from ambush_planner.game.ambusher import Ambusher, at_nodes
-from ambush_planner.game.budget import length_budget, shortest_length
+from ambush_planner import GameOptions, Network
+from ambush_planner.game.ambusher import Ambusher
+from ambush_planner.game.budget import length_budget
 from ambush_planner.game.certificate.certificate import lower_bounds
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.legs import Legs
-from ambush_planner.game.value.edge_flows import EdgeFlows
-from ambush_planner.game.value.face_flows import FaceFlows
 from ambush_planner.game.value.potential import POTENTIAL, Potential
-from ambush_planner.game.value.routes import Routes
 
 
 def one_leg(game, detour=np.inf) -> Legs:
@@ -49,65 +41,14 @@ def lp_of(legs, gap=1e-3) -> Potential:
     return lp
 
 
-def lp_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
-    """The LP, whose sites join from the last part to the first; its q as the game's sites.
-
-    Sites near the source are the first ones, and often set the value.
-    """
-    *others, begun = np.array_split(np.arange(len(game.sites)), parts)
-    later = ~np.isin(np.arange(game.node_count), game.sites[begun])
-    lp = lp_of(one_leg(game.without_sites(later), detour))
-    for some in reversed(others):
-        lp.add_sites(game.entering[some], game.loss[game.sites[some]])
-        lp.solve(math.inf)
-    order = np.concatenate((begun, *reversed(others)))
-    return lp, lp.q[np.argsort(order)]
-
-
 @examples(10)
 @given(st.integers(0, 10**6), st.sampled_from((1.02, 1.2, np.inf)),
        st.sampled_from(('uniform_delaunay', 'random_delaunay', 'lattice_delaunay')))
 def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, method):
     network = terrain_network(seed, method, 14)
     lp = lp_of(one_leg(make_game(network, GameOptions()), detour))
-    least = lp_value(network, None, detour * least_weight(network, network.lengths))
+    least = lp_value(network, detour * least_weight(network, network.lengths))
     assert least * (1.0 - POTENTIAL.precision) <= lp.bound <= least * (1.0 + 1e-6)
-
-
-@examples(10)
-@given(st.integers(0, 10**6), st.floats(0.8, 3.0), st.sampled_from((1.05, 1.2, np.inf)),
-       st.integers(2, 4))
-def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
-    game = make_game(terrain_network(seed, cells=12), GameOptions(ambush_radius=reach))
-    once, (later, q) = lp_of(one_leg(game, detour)), lp_in_parts(game, detour, parts)
-    assert later.bound == pytest.approx(once.bound, rel=POTENTIAL.precision)
-    assert len(later.q) == len(game.sites)
-    ambusher = Ambusher(at_nodes(game, q), (later.price,))
-    proved = lower_bounds(one_leg(game, detour), ambusher)
-    assert proved == pytest.approx(later.bound, rel=1e-6)
-
-
-@examples(16)
-@given(st.integers(0, 10**6), st.sampled_from([(0, 0.0), (0, 1.0), (0, 2.5), (1, 0.0), (2, 0.0)]),
-       st.sampled_from([1.0, 1.05, 1.3, math.inf]))
-def test_potentials_and_edge_flows_of_legs_have_the_value_of_routes(seed, stops_and_reach, detour):
-    """And the judge reproduces the bound from the circulations, or from q alone."""
-    stops, reach = stops_and_reach
-    assume(stops or detour > 1.0)  # a mixture of potentials keeps a budget up to rounding
-    legs = legs_on(roads_of(seed, stops, 6), reach, detour)
-    routes = Routes(legs, 1e-3)
-    lp = EdgeFlows(legs, 1e-4) if stops else Potential(legs, make_faces(legs.games[0]), 1e-3)
-    lp.solve(math.inf)
-    routes.solve(math.inf)
-    assert lp.value >= routes.bound * (1.0 - 1e-6) and lp.bound <= routes.value * (1.0 + 1e-6)
-    assert lp.bound >= lp.value * (1.0 - 1.1e-3) - 1e-9
-    assert all(budget.keeps(p) for budget, p in zip(legs.budgets, legs.split(lp.flow),
-                                                    strict=True))
-    if lp.bound > 0.0:
-        ambusher = lp.ambush.ambusher(legs.games[0], np.ones(len(legs.loss), dtype=bool))
-        alone = replace(ambusher, circulations=())
-        for each in (ambusher, alone):
-            assert lower_bounds(legs, each).sum() >= lp.bound * (1.0 - 5e-3)
 
 
 def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
@@ -134,15 +75,6 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
         assert lower_bounds(one_leg(game), ambusher) == pytest.approx(2 / 5)
 
 
-def test_at_the_deadline_the_flow_is_the_shortest_route():
-    game = make_game(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
-    lp = Potential(one_leg(game, 1.2), make_faces(game), 1e-3)
-    with pytest.raises(TimeLimit, match='before a linear program'):
-        lp.solve(time.monotonic() - 1.0)
-    assert lp.flow @ game.network.lengths == pytest.approx(shortest_length(game.network))
-    assert lp.value == pytest.approx(worst_loss(game, lp.flow))
-
-
 def test_links_that_cross_or_are_one_way_have_no_faces():
     points = [[0, 0], [1, 1], [0, 1], [1, 0]]
     pairs = [(0, 1), (2, 3), (0, 2), (1, 2), (1, 3), (0, 3)]
@@ -152,45 +84,3 @@ def test_links_that_cross_or_are_one_way_have_no_faces():
     one_way = [e for e in edges if e not in ((0, 1), (3, 2))]
     game = make_game(Network(points, [0, 0, 1, 1], one_way, 0, 1), GameOptions(ambush_radius=0.1))
     assert make_faces(game) is None
-
-
-def test_circulations_on_a_graph_that_grows():
-    """Against networkx' least cost flow, after each of three additions and a change of costs."""
-    rng, lp = np.random.default_rng(4), FaceFlows()
-    lp.release(int(lp.add_nodes(4)[0]))
-    tails, heads, costs, highs = (np.zeros(0, dtype=np.int64) for _ in range(4))
-    for round_, nodes in enumerate((0, 3, 2)):
-        if nodes:
-            lp.add_nodes(nodes)
-        count = 4 + 3 * (round_ > 0) + 2 * (round_ > 1)
-        tail, head = rng.integers(0, count, (2, 12))
-        tail, head = tail[tail != head], head[tail != head]
-        cost, high = rng.integers(-9, 9, len(tail)), rng.integers(1, 9, len(tail))
-        lp.add_arcs(np.column_stack((tail, head)), np.tile([1.0, -1.0], (len(tail), 1)),
-                       cost.astype(float), np.zeros(len(tail)), high.astype(float))
-        tails, heads = np.append(tails, tail), np.append(heads, head)
-        costs, highs = np.append(costs, cost), np.append(highs, high)
-        if round_:
-            costs[5:] = rng.integers(-9, 9, len(costs) - 5)
-            lp.change_costs(np.arange(5, len(costs)), costs[5:].astype(float))
-        graph = networkx.MultiDiGraph()
-        for a, b, c, h in zip(tails, heads, costs, highs, strict=True):
-            graph.add_edge(int(a), int(b), weight=int(c), capacity=int(h))
-        found = lp.solve(math.inf)
-        assert found.cost == pytest.approx(networkx.capacity_scaling(graph)[0], abs=1e-6)
-        reduced = costs - found.duals[tails] + found.duals[heads]
-        assert (found.x[reduced > 1e-6] < 1e-6).all()
-        assert (found.x[reduced < -1e-6] > highs[reduced < -1e-6] - 1e-6).all()
-        assert found.duals[0] == 0.0
-
-
-def test_an_lp_without_time_or_without_an_optimum_ends_by_name():
-    lp = FaceFlows()
-    lp.add_nodes(2)
-    ends = np.array([[0, 1], [1, 0]])
-    lp.add_arcs(ends, np.array([[1.0, -1.0]] * 2), -np.ones(2), np.zeros(2),
-                   np.full(2, np.inf))
-    with pytest.raises(SolverFailed, match='linear program'):
-        lp.solve(math.inf)
-    with pytest.raises(TimeLimit):
-        lp.solve(time.monotonic() - 1.0)

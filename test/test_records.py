@@ -5,36 +5,19 @@ And strategy files, read back whole, their certificates computed from the probab
 """
 
 import math
-import warnings
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pytest
-from games import examples, networks, plain_options, random_map, terrain_network
+from games import examples, networks, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner import (
-    GameOptions,
-    PlanningOptions,
-    Problem,
-    SolverFailed,
-    StrategyOptions,
-    evaluate,
-    frontier,
-    places_to_hold,
-    plan_trip,
-    solve,
-    solve_many,
-)
+from ambush_planner import GameOptions, SolverFailed, StrategyOptions, evaluate, frontier, solve
 from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.game.revaluation import revalue
 from ambush_planner.game.tolerance import Reason
-from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_from_occupancy
-from ambush_planner.planning.changed_ground import ChangedGround
-from ambush_planner.planning.concerns import wide_gap
 from ambush_planner.recordings.attachments import strategy_file, strategy_from_file
 
 OPTIONS = StrategyOptions(max_detour=1.3)
@@ -86,51 +69,9 @@ def test_records_of_any_network(data, reach, timed):
     assert 0.0 <= other.bound <= other.value
 
 
-@examples(2)
-@given(st.integers(0, 10**6), st.sampled_from((0.0, 1.2, 2.0)), st.sampled_from((0, 0, 1)))
-def test_records_of_plans(seed, reach, stops):
-    values = np.rint(10.0 * random_map(seed, 14, 0.0).alpha - 10.0).astype(np.int8)
-    on = OccupancyMap(values, 1.0, (0.0, 0.0, 0.0))
-    risk_map = risk_from_occupancy(values, 1.0)
-    options = PlanningOptions(network=plain_options(spacing=2.0), strategy=OPTIONS,
-                              game=GameOptions(ambush_radius=reach))
-    start, goal, middle = (1.0, 6.0), (13.0, 8.0), [(7.0, 10.0)] * stops
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', UserWarning)  # of wide gaps
-        plans = [plan_trip(risk_map, start, goal, options, stops=middle)]
-        if reach and plans[0].value:
-            plans += [replace(plans[0], few=plan_trip(
-                risk_map, start, goal, options, stops=middle, routes=k, rng=seed).few)
-                for k in (1, 3)]
-    for plan in plans:
-        check(plan)
-        if plan.few:
-            check(plan.few)
-            assert plan.few.curve[-1][1] == plan.few.value == plan.value
-    check_strategy(plans[0].trip)
-    assert bool(wide_gap(plans[0])) == (plans[0].trip.reason != 'complete')
-    newer = values.copy()
-    newer[::3] = 40
-    check(ChangedGround(plans[0], on, OccupancyOptions()).assess(replace(on, values=newer)))
-    if stops:
-        return
-    for row in plans[0].frontier((1.3,), ()):
-        check(row)
-    candidates = {'north': (7.0, 11.0), 'middle': (7.0, 7.0), 'south': (7.0, 3.0)}
-    for each in places_to_hold(risk_map, start, goal, 2.0, 1, options,
-                               candidates=candidates).strategies:
-        check_strategy(each)
-    with ThreadPoolExecutor(1) as pool:
-        (solved,) = solve_many([Problem(risk_map, start, goal, options)], pool)
-    check_strategy(solved.answer.trip)
-
-
 def test_a_certificate_never_has_a_bound_above_its_value():
     for value, bound in ((1.0, 1.0 + 1e-6), (0.0, 1e-9), (1.0, math.nan), (1.0, -1.0)):
         with pytest.raises(SolverFailed, match='lower bound'):
             Certificate(value, bound)
     rounded = Certificate(1.0, 1.0 + 1e-12)
     assert rounded.bound == rounded.value
-
-
-# Files of strategies.

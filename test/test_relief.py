@@ -16,7 +16,7 @@ from ambush_planner.maps import (
     relative_depth,
     slope,
 )
-from ambush_planner.maps.relief import barriers, disc_rectangles
+from ambush_planner.maps.relief import barriers
 
 
 def plane(rows, columns, north, east):
@@ -126,14 +126,3 @@ def test_depth_matches_a_brute_force_search_of_the_disc(seed, radius):
     assert np.isnan(result[~here]).all()
     expected = naive_depth(np.where(here, heights, -1e9), 3.0, 3.0 * radius)
     np.testing.assert_allclose(result[here], expected[here], rtol=1e-6)
-
-
-@examples(20)
-@given(st.floats(16.0, 400.0))
-def test_large_discs_are_covered_from_inside(radius):
-    rectangles = np.array(disc_rectangles(radius))
-    assert len(rectangles) <= 17
-    assert (np.hypot(*rectangles.T) <= radius).all()
-    for angle in np.linspace(0.0, np.pi / 2.0, 50):
-        row, column = 0.95 * radius * np.sin(angle) - 1.0, 0.95 * radius * np.cos(angle) - 1.0
-        assert ((rectangles[:, 0] >= row) & (rectangles[:, 1] >= column)).any()

@@ -12,9 +12,6 @@ import pytest
 from audit_samples import START, departure, drawn, parameters, record, record_drawn, sample_plan
 from commands import documented_keys
 from drive_samples import dense
-from games import examples
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from ambush_planner import words
@@ -23,7 +20,6 @@ from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.planning.plan import path_lengths
 from ambush_planner.recordings.recorded_departures import read_departures, recordings_in
 from ambush_planner.recordings.report_data import sections_of
-from ambush_planner.routes.legs import main_corners
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
 
@@ -131,17 +127,6 @@ def test_departures_link_their_recordings_and_hold_neither_routes_nor_seeds(made
 def off(points, line):
     """How far points lie from a line at most."""
     return cKDTree(dense(line, 0.01)).query(points)[0].max()
-
-
-@examples(25)
-@given(st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=12), st.floats(0.1, 3.0))
-def test_an_outline_is_as_accurate_as_asked_for_and_has_few_points(turns, tolerance):
-    yaw = np.repeat(np.cumsum(turns), 9)
-    line = np.cumsum(np.column_stack((np.cos(yaw), np.sin(yaw))), axis=0)
-    found = line[main_corners(line, tolerance)]
-    assert (found[[0, -1]] == line[[0, -1]]).all()
-    assert off(line, found) <= tolerance + 0.01
-    assert len(found) <= 2 * len(turns) + 2  # two points of a leg that is parallel to a chord
 
 
 def test_a_fixed_seed_is_warned_about(tmp_path, made):

@@ -180,3 +180,12 @@ def test_a_coarser_map_hides_no_loss_and_no_obstacle(which):
         assert coarse.alpha[row, column] == whole.alpha[block].max()
         assert coarse.obstacles[row, column] == whole.obstacles[block].any()
         assert coarse.unknown[row, column] == whole.unknown[block].all()
+
+
+def test_a_hiding_place_has_the_loss_of_the_nearest_free_cell():
+    _, risk_map = graded(np.random.default_rng(4))
+    losses, free = risk_map.nearest_free_alpha(), np.argwhere(~risk_map.obstacles)
+    for row, column in np.argwhere(risk_map.obstacles):
+        apart = np.hypot(*(free - (row, column)).T)
+        nearest = free[np.isclose(apart, apart.min())]
+        assert losses[row, column] in risk_map.alpha[tuple(nearest.T)]

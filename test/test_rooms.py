@@ -76,36 +76,6 @@ def test_a_file_of_the_game_imports_only_from_those_before_its_own():
                     assert level[name.partition('.')[0]] <= level[room], (path, name)
 
 
-# Methods of records that need rooms above them: the one place that imports these late.
-UPWARDS = 'plan_methods'
-
-
-def modules_imported(path: Path) -> set[Path]:
-    """Files of this package that a file imports, also late, but not for its types only."""
-    tree = ast.parse(path.read_text())
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == 'TYPE_CHECKING':
-            node.body = []
-    found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.level:
-            base = path.parents[node.level - 1].joinpath(*(node.module or '').split('.'))
-            named = [base / f'{alias.name}.py' for alias in node.names]
-            files = [each for each in named if each.exists()] or [base.with_suffix('.py')]
-            found |= {each for each in files if each.exists()}
-    return found
-
-
-def test_no_file_needs_one_that_needs_it_even_if_imported_late():
-    needed = {path: modules_imported(path) for path in PACKAGE.rglob('*.py')
-              if path.stem != UPWARDS}
-    assert sum(map(len, needed.values())) > 500
-    while free := [path for path, files in needed.items() if not files & needed.keys()]:
-        for path in free:
-            del needed[path]
-    assert not needed, 'in a circle, or above one'
-
-
 def test_the_core_imports_and_solves_with_ros_blocked():
     done = run_python(SOLVES, PACKAGE.parent)
     assert done.returncode == 0, done.stderr

@@ -98,18 +98,6 @@ def test_by_default_no_place_covers_every_way_out(tolerance):
     assert not any('covers every way' in text for text in concerns(made))
 
 
-def test_a_passage_far_from_the_ends_is_named():
-    wall = np.zeros((20, 40), bool)
-    wall[:, 20] = True
-    wall[9:11, 20] = False
-    made = plan_trip(RiskMap(np.ones(wall.shape), wall, 5.0), START, GOAL, PlanningOptions(
-        network=plain_options(spacing=10.0), game=GameOptions(ambush_radius=10.0)))
-    (text,) = concerns(made)
-    assert 'one place hits every route, at (1' in text and 'detour' not in text
-    assert text.endswith('What helps: hold places on the way (ambush hold finds them), choose '
-                         'another start or goal')
-
-
 def gate(at, rows=(9, 11)):
     """Open ground with a wall at a column, and a gate in it."""
     wall = np.zeros((20, 40), bool)

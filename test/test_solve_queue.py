@@ -197,18 +197,6 @@ def test_an_idle_worker_that_dies_is_replaced_before_the_next_solve(queue):
     assert queue._worker is not used
 
 
-def test_after_a_start_that_fails_another_one_is_tried(queue, monkeypatch):
-    submit(queue, 'first', request()).result(TIMEOUT)
-    used = queue._worker
-    os.kill(process_id(used), signal.SIGKILL)
-    wait_until(lambda: not used.alive, 'the end of the worker')
-    with monkeypatch.context() as patch:
-        patch.setattr(solve_queue, 'WorkerProcess', Mock(side_effect=OSError('no room')))
-        with pytest.raises(WorkerFailed, match='cannot be started: no room'):
-            submit(queue, 'in vain', request()).result(TIMEOUT)
-    assert submit(queue, 'next', request()).result(TIMEOUT)
-
-
 def test_solves_are_refused_by_a_closed_gate_and_after_the_end(queue):
     queue._check = Mock(side_effect=SolveCancelled('not now'))
     with pytest.raises(SolveCancelled, match='not now'):

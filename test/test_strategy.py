@@ -236,21 +236,6 @@ def test_a_solver_that_fails_is_named(monkeypatch, recwarn):
 # What a strategy is worth on other losses.
 
 
-@pytest.mark.parametrize('reach', [0.0, 2.0])
-def test_revalue_gives_the_value_on_the_new_losses(reach):
-    network = terrain_network(4, cells=14)
-    game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
-    strategy = solve(network, game, free)
-    trip = strategy.as_trip
-    same = revalue(trip, network.alpha)
-    assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
-    changed = replace(network, alpha=network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))
-    other, best = revalue(trip, changed.alpha), solve(changed, game, free)
-    hit = hit_once(changed, strategy.edge_probability, reached(changed, reach, reach))
-    assert other.value == pytest.approx((changed.alpha * hit).max())
-    assert other.bound <= best.value and best.lower_bound <= other.value
-
-
 def test_a_node_that_comes_below_the_threshold_opens_routes_that_the_old_bound_did_not_know():
     # Of two ways, that through node 2 is forbidden until its loss falls.
     network = Network(np.array([[0.0, 0.0], [1.0, 1.0], [1.0, -1.0], [2.0, 0.0]]),

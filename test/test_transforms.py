@@ -9,10 +9,8 @@ import interfaces
 import numpy as np
 import pytest
 from rclpy.node import Node
-from rclpy.time import Time
 from robots import ROBOT, Robot, transform
 from ros_harness import free_domain, pose, recorded, risk_grid, ros_context, stage
-from rosgraph_msgs.msg import Clock
 from waiting import wait_until
 
 from ambush_planner.errors import InvalidPose
@@ -75,20 +73,6 @@ def test_a_moving_transform_far_from_now_is_an_error_with_its_age(frames):
     # One that is right counts at once, whatever came before.
     frames.receive(False, TFMessage(transforms=[transform('map', 'early', 5.0, sec=now + 1)]))
     assert x_of(frames, 'early', 60.0) == 5.0
-
-
-def test_a_clock_that_goes_back_by_however_little_clears_the_buffer():
-    with stage(parameters={**ROBOT, 'use_sim_time': True}) as running:
-        robot, clock = Robot(running), running.planner.get_clock()
-        for time_ns, x in ((10**12, 7.0), (10**12 - 7 * 10**8, 5.0), (10**9, 3.0)):
-            stamp = Time(nanoseconds=time_ns).to_msg()
-
-            def time_is(stamp=stamp, time_ns=time_ns):
-                running.client.publish('/clock', Clock(clock=stamp))
-                return clock.now().nanoseconds == time_ns
-
-            wait_until(time_is, f'{time_ns} ns')
-            robot.is_at(x, 0.0, stamp)
 
 
 def test_a_transform_from_before_1970_is_used_if_any_age_will_do(frames):

@@ -76,8 +76,6 @@ class Drive(World):
             if self.path is not followed:  # it goes on from where the robot is by now
                 near = [self.away(each) for each in self.path[:100]]
                 followed, ahead = self.path, self.path[near.index(min(near)):]
-                if self.cuts:
-                    self.cuts, ahead = self.cuts - 1, ahead[-1:]
             left = SPEED * PERIOD
             while ahead and left > 0.0:
                 step = self.away(ahead[0])
@@ -130,24 +128,3 @@ def test_each_tour_is_one_departure(tree):
             drive.client.diagnostics(departures=str(tour))
         assert drive.answers.count('new') == len(ends), drive.answers
         assert tree == SELDOM or drive.goals == [ends[-1]], 'the stops have been passed'
-
-
-def test_a_missed_stop_is_driven_to():
-    stop, end = (10.0, 17.0), (18.0, 10.0)
-    with stage(parameters={**ROBOT, **QUICK}) as running:
-        drive, near = Drive(running, (1.5, 10.0)), []
-        drive.cuts = 1
-        assert drive.drive(POSES, [stop, end], lambda: near.append(drive.away(stop))) == SUCCESS
-        assert drive.away(end) <= REACHED and min(near) <= 0.7
-        assert drive.goals == [end] and drive.answers[:2] == ['new', 'new']
-
-
-def test_a_goal_in_an_obstacle_fails_at_once():
-    values = FAR.copy()
-    values[20:24, 20:24] = 100
-    with stage(parameters={**ROBOT, **QUICK}) as running:
-        drive = Drive(running, (1.5, 10.0), values)
-        for tree, goals in ((POSE, [(11.0, 11.0)]), (POSES, [(11.0, 11.0), (18.0, 3.0)])):
-            assert drive.drive(tree, goals) == FAILURE
-            assert drive.codes['planner'] % 100 == 6 and drive.helped == []
-        drive.client.diagnostics(departures='0')

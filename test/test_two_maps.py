@@ -93,21 +93,6 @@ def test_a_costmap_that_comes_once_is_used_when_its_transform_comes(capfd):
         wait_until(lambda: client.diagnostics()['nodes'] != planned, 'another plan')
 
 
-def test_a_risk_map_that_is_refused_stays_reported_while_costmaps_come():
-    with stage(parameters=BOTH) as running:
-        client = running.client
-        client.publish('alpha_map', risk_grid(FLAT))
-        client.publish('costmap', risk_grid(FLAT))
-        wait_until(lambda: running.planner._dispatcher.inputs.map, 'the map')
-        client.publish('alpha_map', risk_grid(resolution=0.0))
-        client.diagnostics(code='INVALID_MAP')
-        client.publish('costmap', risk_grid(FLAT + 1))
-        client.last('/diagnostics', len(client.received['/diagnostics']) + 2)
-        client.diagnostics(code='INVALID_MAP', level=b'\2')
-        client.publish('alpha_map', risk_grid(FLAT))
-        client.diagnostics(code='NONE')
-
-
 def test_every_map_without_risk_is_warned_of_as_long_as_it_is_used():
     with stage() as running:
         client = running.client

@@ -13,7 +13,7 @@ import pytest
 from commands import run_here
 from rasters import write_geotiff
 from test_path_mixtures import GOAL, START, ground
-from test_week import OPTIONS, PLANS, plans, roads  # noqa: F401 (a fixture)
+from test_week import OPTIONS, copy_of, plans, roads  # noqa: F401 (a fixture)
 
 from ambush_planner import plan_trip
 from ambush_planner.commands import audit, draw, report, risk, verify
@@ -201,32 +201,20 @@ def test_a_plan_with_departures_is_not_overwritten(week):
 
 def test_two_departures_of_one_plan_for_one_day_are_named(plans, tmp_path):  # noqa: F811
     """Drawn from copies elsewhere, whose folders are then put together."""
+    day, both = ('--date', '2040-01-01', '--slot', '8:00'), tmp_path / 'both'
     for name in ('anna', 'ben'):
         (tmp_path / name).mkdir()
-        drawn_from(plans, 'routes', tmp_path / name, 5)
-    for path in sorted((tmp_path / 'ben/week.departures').iterdir())[1:]:
-        path.unlink()
-    both = tmp_path / 'both'
-    for name in ('anna', 'ben'):
+        file = copy_of(plans, 'routes', tmp_path / name)
+        assert run_here(draw, file, *day).code == 0
+        assert name == 'ben' or run_here(draw, file, '--days', 4, '--date', '2040-01-02').code == 0
         shutil.copytree(tmp_path / name / 'week.departures', both / f'{name}.departures')
-    slots = {path.parent.name: read_departure(path).metadata.day.slot
-             for path in both.glob('*/0001*')}
-    same = len(set(slots.values())) == 1
-    if not same:  # then the times differ; draw again for one of them
-        (path,) = both.glob('ben.departures/*')
-        path.unlink()
-        run_here(draw, tmp_path / 'ben/week.plan', '--date', '2040-01-01', '--slot',
-                 slots['anna.departures'], '--earlier', 'driven')
-        for path in (tmp_path / 'ben/week.departures').glob('0002*'):
-            shutil.copy(path, both / 'ben.departures')
     for command, code in ((verify, 1), (audit, 1)):
         done = run_here(command, both)
         text = ' '.join(done.out.split())
         assert done.code == code and 'departures of one plan for 2040-01-01' in text
         assert 'copies of the plan' in text
-    again = run_here(draw, tmp_path / 'anna/week.plan', '--date', '2040-01-01', '--slot',
-                     slots['anna.departures'], '--earlier', 'driven')
-    assert again.code == 0
+    again = run_here(draw, tmp_path / 'anna/week.plan', *day, '--earlier', 'driven')
+    assert again.code == 0, again.err
     done = run_here(verify, tmp_path / 'anna/week.departures')
     text = ' '.join(done.out.split())
     assert done.code == 0 and 'was said to have been driven, too' in text

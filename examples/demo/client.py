@@ -30,76 +30,92 @@ class NoAnswer(AmbushPlannerError):
     """The node did not answer in time, or refused."""
 
 
-class DemoClient:
-    """A ROS node with its own context; ``check`` is called while waiting, and may raise."""
+class NodeClient:
+    """A ROS node with its own context; ``check`` is called while waiting, and may raise.
+
+    ``status`` holds the values of the planner's latest diagnostics.
+    """
 
     def __init__(self, domain: int, check: Callable[[], None]) -> None:
-        self._domain, self._check = domain, check
-        self._paths: list[PathMessage] = []
-        self._status: dict[str, str] = {}
+        self._domain, self.check = domain, check
+        self.status: dict[str, str] = {}
 
-    def __enter__(self) -> DemoClient:
+    def __enter__(self) -> NodeClient:
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=self._domain)
-        self._node = rclpy.create_node('ambush_demo', context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        create = self._node.create_publisher
-        self._map = create(OccupancyGrid, 'alpha_map', LATCHED)
-        self._start = create(PoseStamped, 'start_pose', LATCHED)
-        self._goal = create(PoseStamped, 'goal_pose', LATCHED)
-        self._node.create_subscription(PathMessage, 'path', self._paths.append, LATCHED)
-        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
-        self._new_route = self._node.create_client(Trigger, '/ambush_planner/new_route')
+        rclpy.init(args=[], context=self._context, domain_id=self._domain)
+        self.node = rclpy.create_node('client', context=self._context)
+        self.executor = SingleThreadedExecutor(context=self._context)
+        self.executor.add_node(self.node)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
-        self._node.destroy_node()
+        self.executor.shutdown()
+        self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
+
+    def listen(self) -> None:
+        """Receive the diagnostics."""
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+
+    def wait(self, done: Callable[[], object], failure: str, timeout: float) -> None:
+        """Process messages until ``done``; raises NoAnswer after the timeout [s]."""
+        deadline = time.monotonic() + timeout
+        while not done():
+            self.check()
+            if time.monotonic() > deadline:
+                reason = self.status.get('message', '')
+                raise NoAnswer(f'{failure} within {timeout:g} s' + (reason and f': {reason}'))
+            self.executor.spin_once(timeout_sec=STEP)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.hardware_id.endswith('ambush_planner'):
+                self.status = {value.key: value.value for value in status.values}
+
+
+class DemoClient(NodeClient):
+    """A client that publishes map, start and goal, and asks for departures."""
+
+    def __enter__(self) -> DemoClient:
+        super().__enter__()
+        self._paths: list[PathMessage] = []
+        create = self.node.create_publisher
+        self._map = create(OccupancyGrid, 'alpha_map', LATCHED)
+        self._start = create(PoseStamped, 'start_pose', LATCHED)
+        self._goal = create(PoseStamped, 'goal_pose', LATCHED)
+        self.node.create_subscription(PathMessage, 'path', self._paths.append, LATCHED)
+        self._new_route = self.node.create_client(Trigger, '/ambush_planner/new_route')
+        self.listen()
+        return self
 
     def publish_inputs(self, values: np.ndarray, resolution: float, start: tuple[float, float],
                        goal: tuple[float, float]) -> None:
         """Publish map values, start and goal, and wait until the node plans; raises NoAnswer."""
         # The node's subscriptions of start and goal are volatile: earlier messages would be lost.
         inputs = self._map, self._start, self._goal
-        self._wait(lambda: self._new_route.service_is_ready()
-                   and all(each.get_subscription_count() for each in inputs),
-                   DISCOVERY_TIMEOUT, 'the node was not found')
-        header = Header(frame_id='map', stamp=self._node.get_clock().now().to_msg())
+        self.wait(lambda: self._new_route.service_is_ready()
+                  and all(each.get_subscription_count() for each in inputs),
+                  'the node was not found', DISCOVERY_TIMEOUT)
+        header = Header(frame_id='map', stamp=self.node.get_clock().now().to_msg())
         self._map.publish(occupancy_to_ros(values, resolution, (0.0, 0.0, 0.0), header))
         self._start.publish(PoseStamped(header=header, pose=pose_to_ros(*start)))
         self._goal.publish(PoseStamped(header=header, pose=pose_to_ros(*goal)))
-        self._wait(lambda: self._status.get('state') in ('solving', 'ready'),
-                   MESSAGE_TIMEOUT, 'the node did not accept map, start and goal')
+        self.wait(lambda: self.status.get('state') in ('solving', 'ready'),
+                  'the node did not accept map, start and goal', MESSAGE_TIMEOUT)
 
     def depart(self) -> PathMessage:
         """Request a route and return it; raises NoAnswer with the node's reason if it refuses."""
         known = len(self._paths)
         future = self._new_route.call_async(Trigger.Request())
-        self._wait(future.done, PLANNING_TIMEOUT, 'the node did not answer new_route')
+        self.wait(future.done, 'the node did not answer new_route', PLANNING_TIMEOUT)
         response = future.result()
         if not response.success:
             raise NoAnswer(f'the node found no route: {response.message}')
-        self._wait(lambda: len(self._paths) > known, MESSAGE_TIMEOUT, 'no path was published')
+        self.wait(lambda: len(self._paths) > known, 'no path was published', MESSAGE_TIMEOUT)
         return self._paths[-1]
 
     def wait_until_refined(self) -> None:
         """Wait until the node has refined the plan of the first departure; raises NoAnswer."""
-        self._wait(lambda: self._status.get('departures') == '1'
-                   and self._status['refining'] == 'no',
-                   PLANNING_TIMEOUT, 'the node did not refine its plan')
-
-    def _wait(self, done: Callable[[], bool], timeout: float, failure: str) -> None:
-        deadline = time.monotonic() + timeout
-        while not done():
-            self._check()
-            if time.monotonic() > deadline:
-                reason = self._status.get('message', '')
-                raise NoAnswer(f'{failure} within {timeout:g} s' + (reason and f': {reason}'))
-            self._executor.spin_once(timeout_sec=STEP)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.hardware_id.endswith('ambush_planner'):
-                self._status = {value.key: value.value for value in status.values}
+        self.wait(lambda: self.status.get('departures') == '1'
+                  and self.status['refining'] == 'no',
+                  'the node did not refine its plan', PLANNING_TIMEOUT)
