@@ -24,6 +24,9 @@ from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import allowed, check_options, length
 from .discs import ExposedEdges, SecuredArea, secured_area
 
+# Where sites stand for all places around them, one node is a site in each square of this side
+# [reaches]: the searches for the worst places find what the others could add.
+SITE_SQUARE = 0.3
 # Position and radius (x, y, radius) [m] of a disc of a secured area.
 SecuredPlace = tuple[float, float, float]
 
@@ -222,19 +225,24 @@ def make_game(network: Network, options: GameOptions) -> Game:
     return make_games((network,), options)[0]
 
 
-def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game, ...]:
+def make_games(networks: Sequence[Network], options: GameOptions,
+               waits: BoolArray | None = None) -> tuple[Game, ...]:
     """Apply the options to the networks of a trip's legs, which have the same nodes.
 
-    Secured areas and sites are the same for all legs. Raises NoRoute if no route leads from the
-    source of a leg to its target, perhaps because of ``alpha_threshold``.
+    Secured areas and sites are the same for all legs. If sites stand for all places around them
+    (``widened``), they are a selection of the nodes, those that ``waits`` (N,) marks, and nodes
+    without edges; else all nodes. Raises NoRoute if no route leads from the source of a leg to its
+    target, perhaps because of ``alpha_threshold``.
     """
     ends = np.unique(np.concatenate([each.points[[each.source, each.target]]
                                      for each in networks]), axis=0)
     points, alpha = networks[0].points, networks[0].alpha
     secured = secured_area(ends, options.secured_distance, options.held_places)
     # Sites stand for the places around them.
-    loss = frozen_array(np.where(secured.shrunk(options.widened).covers(points), 0.0, alpha),
-                        np.float64)
+    held = secured.shrunk(options.widened).covers(points)
+    if options.widened > 0.0:
+        held |= ~_selected(networks, options.reach) & (True if waits is None else ~waits)
+    loss = frozen_array(np.where(held, 0.0, alpha), np.float64)
     games = tuple(_leg_game(each, options, loss, secured) for each in networks)
     if options.reach > 0.0:
         return games
@@ -242,6 +250,17 @@ def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game,
     for game in games:
         driven[game.network.heads[game.playable]] = True
     return tuple(game.without_sites(~driven) for game in games)
+
+
+def _selected(networks: Sequence[Network], reach: float) -> BoolArray:
+    """Mark the nodes (N,) that are sites: one in each square, and those without edges."""
+    selected = np.ones(len(networks[0].points), dtype=bool)
+    for network in networks:
+        selected[network.edges] = False
+    driven = np.flatnonzero(~selected)
+    squares = np.floor(networks[0].points[driven] / (SITE_SQUARE * reach))
+    selected[driven[np.unique(squares, axis=0, return_index=True)[1]]] = True
+    return selected
 
 
 def _leg_game(network: Network, options: GameOptions, loss: FloatArray,

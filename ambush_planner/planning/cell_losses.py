@@ -126,6 +126,7 @@ class CellSearch:
         self._exposed, self._widened = exposed_legs(games, self._used), games[0].options.widened
         self._parts = parts_of_cells(cells.resolution, self._game.options)
         self._kept: dict[float, _KeptRows] = {}
+        self._among_few: CellSearch | None = None
         self._returned = np.zeros(0, dtype=np.int64)  # keys of parts
         self._first = 1
         while self._first * _DIVISION * cells.resolution <= self._game.reach:
@@ -145,8 +146,10 @@ class CellSearch:
         """
         search, used = self, law.uses(len(self._used)) > 0.0
         if used.sum() < _FEW * self._used.sum():
-            search = CellSearch(self._cells, self._games, used)
-        search._returned = self._returned
+            if self._among_few is None or (used & ~self._among_few._used).any():
+                self._among_few = CellSearch(self._cells, self._games, used)
+            search = self._among_few
+            search._cells, search._returned = self._cells, self._returned
         if among is None:
             parts, points, loss, losses = search._best_first(law, above, apart)
         else:

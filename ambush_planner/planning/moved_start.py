@@ -200,7 +200,7 @@ def _joined_trip(ground: ChangedGround, newest: OccupancyMap, network: Network, 
     """
     before, options = ground.plan.trip, ground.plan.options.strategy
     others = [replace(leg.network, alpha=network.alpha) for leg in before.legs[1:]]
-    games = make_games((network, *others), before.game.options)
+    games = make_games((network, *others), before.game.options, before.ambusher.q > 0.0)
     budgets = (length_budget(games[0], options.max_detour), *(
         Budget(game, leg.length_budget, leg.shortest_length)
         for game, leg in zip(games[1:], before.legs[1:], strict=True)))

@@ -32,18 +32,20 @@ from ..game import Game
 # For each search, the most labels that it keeps at a node, and the comparisons of labels after
 # which it stops: a second or two each. The cost reached by then is still a lower bound.
 SEARCHES = tuple((9.0**k, 3_000_000) for k in (0, 1, 2, math.inf))
+# The same if curves have proved a bound: on large networks, labels then hardly add to it.
+SEARCHES_AFTER_CURVES = tuple((kept, 300_000) for kept, _ in SEARCHES)
 Searches = Sequence[tuple[float, int]]
 
 
-def best_response(game: Game, q: FloatArray, weights: FloatArray,
-                  deadline: float = math.inf, target: float = math.inf) -> float:
+def best_response(game: Game, q: FloatArray, weights: FloatArray, deadline: float = math.inf,
+                  target: float = math.inf, searches: Searches = SEARCHES) -> float:
     """A lower bound of what any route costs: site prices, and ``weights`` (M,) of its edges.
 
     Each site counts once. It is as great as the searches prove until ``deadline``
     (``time.monotonic``), or ``target``.
     """
     network = Subnetwork(game, game.entering)
-    return network.least_cost(weights, (game.loss * q)[game.sites], SEARCHES, deadline, target)[0]
+    return network.least_cost(weights, (game.loss * q)[game.sites], searches, deadline, target)[0]
 
 
 class Subnetwork:
