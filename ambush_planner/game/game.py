@@ -25,6 +25,9 @@ from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import allowed, check_options, length
 from .discs import ExposedEdges, SecuredArea, secured_area
 
+# Where a site stands for all places around it, one node is a site in each square of this side
+# [reaches]; separation over the cells of the map adds what others could.
+SITE_SQUARE = 0.3
 # A disc of the secured area (x, y, radius) [m].
 SecuredPlace = tuple[float, float, float]
 
@@ -226,19 +229,23 @@ def make_game(network: Network, options: GameOptions) -> Game:
     return make_games((network,), options)[0]
 
 
-def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game, ...]:
+def make_games(networks: Sequence[Network], options: GameOptions,
+               waits: BoolArray | None = None) -> tuple[Game, ...]:
     """Make the games of a trip's legs, whose networks have the same nodes.
 
-    All legs have the same secured area and sites. Raises NoRoute if no playable route leads from
-    the source of a leg to its target.
+    All legs have the same secured area and sites: all nodes, or if a site stands for all places
+    around it (``widened``), nodes without edges, those that ``waits`` (N,) marks, and a selection
+    of the others. Raises NoRoute if no playable route leads from the source of a leg to its target.
     """
     ends = np.unique(np.concatenate([each.points[[each.source, each.target]]
                                      for each in networks]), axis=0)
     points, alpha = networks[0].points, networks[0].alpha
     secured = secured_area(ends, options.secured_distance, options.secured_places)
     # A site stands for all places within ``widened``: it is dropped only if all are secured.
-    loss = frozen_array(np.where(secured.shrink(options.widened).covers(points), 0.0, alpha),
-                        np.float64)
+    dropped = secured.shrink(options.widened).covers(points)
+    if options.widened > 0.0:
+        dropped |= ~(_selected_sites(networks, options.reach) | (False if waits is None else waits))
+    loss = frozen_array(np.where(dropped, 0.0, alpha), np.float64)
     games = tuple(_leg_game(each, options, loss, secured) for each in networks)
     if options.reach > 0.0:
         return games
@@ -246,6 +253,17 @@ def make_games(networks: Sequence[Network], options: GameOptions) -> tuple[Game,
     for game in games:
         driven[game.network.heads[game.playable]] = True
     return tuple(game.without_sites(~driven) for game in games)
+
+
+def _selected_sites(networks: Sequence[Network], reach: float) -> BoolArray:
+    """Mark the nodes (N,) that are sites: one in each square, and those without edges."""
+    selected = np.ones(len(networks[0].points), dtype=bool)
+    for network in networks:
+        selected[network.edges] = False
+    driven = np.flatnonzero(~selected)
+    squares = np.floor(networks[0].points[driven] / (SITE_SQUARE * reach))
+    selected[driven[np.unique(squares, axis=0, return_index=True)[1]]] = True
+    return selected
 
 
 def _leg_game(network: Network, options: GameOptions, loss: FloatArray,

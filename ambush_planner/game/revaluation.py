@@ -28,7 +28,7 @@ def legs_in_game(trip: TripStrategy, options: GameOptions,
     """
     networks = [leg.network if alpha is None else replace(leg.network, alpha=alpha)
                 for leg in trip.legs]
-    games = make_games(networks, options)
+    games = make_games(networks, options, trip.ambusher.q > 0.0)
     if options == trip.game.options and np.array_equal(games[0].sites, trip.game.sites):
         games = tuple(replace(game, known_rows=leg.game.entering)
                       for game, leg in zip(games, trip.legs, strict=True))

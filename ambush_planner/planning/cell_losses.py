@@ -35,7 +35,7 @@ NOBODY = -1.0
 # Number of parts into which a block is divided along each side.
 _DIVISION = 4
 # If a law uses at most this share of the edges, as that of a program's flow, the search looks at
-# these alone: their rows are found fast, but serve no other law.
+# these alone: their rows are found fast, but serve only laws of the same edges.
 _FEW = 0.3
 # Maximum share of changed cells; beyond it losses are computed from the whole map.
 _MAX_CHANGED = 0.05
@@ -127,6 +127,7 @@ class CellSearch:
         self._exposed, self._widened = exposed_legs(games, self._used), games[0].options.widened
         self._parts = parts_of_cells(cells.resolution, self._game.options)
         self._caches: dict[float, _RowCache] = {}
+        self._few_edges: CellSearch | None = None
         self._returned = np.zeros(0, dtype=np.int64)  # keys of parts
         self._first = 1
         while self._first * _DIVISION * cells.resolution <= self._game.reach:
@@ -146,8 +147,10 @@ class CellSearch:
         """
         search, used = self, law.uses(len(self._used)) > 0.0
         if used.sum() < _FEW * self._used.sum():
-            search = CellSearch(self._cells, self._games, used)
-        search._returned = self._returned
+            if self._few_edges is None or (used & ~self._few_edges._used).any():
+                self._few_edges = CellSearch(self._cells, self._games, used)
+            search = self._few_edges
+            search._cells, search._returned = self._cells, self._returned
         if cells is None:
             found = search._best_first(law, threshold, spacing)
         else:

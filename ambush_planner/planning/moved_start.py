@@ -198,7 +198,7 @@ def _joined_trip(ground: ChangedGround, newest: OccupancyMap, network: Network, 
     """
     planned, options = ground.plan.trip, ground.plan.options.strategy
     others = [replace(leg.network, alpha=network.alpha) for leg in planned.legs[1:]]
-    games = make_games((network, *others), planned.game.options)
+    games = make_games((network, *others), planned.game.options, planned.ambusher.q > 0.0)
     budgets = (length_budget(games[0], options.max_detour), *(
         Budget(game, leg.length_budget, leg.shortest_length)
         for game, leg in zip(games[1:], planned.legs[1:], strict=True)))

@@ -103,14 +103,15 @@ def strategy_from_file(data: bytes, options: GameOptions) -> TripStrategy:
         raise ValueError(f'{reason!r} is no reason why a search ends')
     networks = [_network_in(common, each) for each in content]
     planned: dict[str, Any] = {name: float(common[name]) for name in _PLANNED}
-    games = make_games(networks, replace(options, **planned))
+    q = frozen_array(common[_Q], np.float64)
+    games = make_games(networks, replace(options, **planned), q > 0.0)
     budgets = [Budget(game, float(each[_BUDGET[0]]), float(each[_BUDGET[1]]))
                for game, each in zip(games, content, strict=True)]
     legs = Legs(games, tuple(budgets))
     p = [frozen_array(each[_P], np.float64) for each in content]
     if any(len(each) != len(network.edges) for each, network in zip(p, networks, strict=True)):
         raise ValueError('its probabilities are not those of its network')
-    ambusher = Ambusher(frozen_array(common[_Q], np.float64),
+    ambusher = Ambusher(q,
                         tuple(float(each[_BUDGET[2]]) for each in content),
                         tuple(Circulation(*(each[name] for name in _CIRCULATION))
                               for each in content if _CIRCULATION[0] in each))

@@ -32,17 +32,19 @@ from ..game import Game
 # Successive searches: how many labels each keeps at a node, and after how many comparisons it stops
 # (a second or two). The least cost in its queue is a lower bound even then.
 SEARCHES = tuple((9.0**k, 3_000_000) for k in (0, 1, 2, math.inf))
+# The same if curves have proved a bound: on large networks, labels then hardly add to it.
+SEARCHES_AFTER_CURVES = tuple((kept, 300_000) for kept, _ in SEARCHES)
 Searches = Sequence[tuple[float, int]]
 
 
-def best_response(game: Game, q: FloatArray, weights: FloatArray,
-                  deadline: float = math.inf, target: float = math.inf) -> float:
+def best_response(game: Game, q: FloatArray, weights: FloatArray, deadline: float = math.inf,
+                  target: float = math.inf, searches: Searches = SEARCHES) -> float:
     """Return a lower bound of the cost of every route: site prices plus edge ``weights`` (M,).
 
     The searches go on until they prove ``target``, or until ``deadline`` (``time.monotonic``).
     """
     network = Subnetwork(game, game.entering)
-    return network.least_cost(weights, (game.loss * q)[game.sites], SEARCHES, deadline, target)[0]
+    return network.least_cost(weights, (game.loss * q)[game.sites], searches, deadline, target)[0]
 
 
 class Subnetwork:

@@ -28,7 +28,7 @@ from ..budget import Budget
 from ..faces import make_faces
 from ..game import Game
 from ..legs import Legs
-from .best_response import best_response
+from .best_response import SEARCHES, SEARCHES_AFTER_CURVES, best_response
 from .curves import curve_bound
 
 
@@ -101,7 +101,8 @@ def _leg_bound(game: Game, budget: Budget, ambusher: Ambusher, deadline: float,
     if bound >= target:
         return bound
     weights, worth = _priced_budget(game, budget, price)
-    return max(bound, best_response(game, q, weights, deadline, target + worth) - worth)
+    searches = SEARCHES_AFTER_CURVES if ambusher.circulations else SEARCHES
+    return max(bound, best_response(game, q, weights, deadline, target + worth, searches) - worth)
 
 
 def entry_bound(game: Game, budget: Budget, q: FloatArray, price: float) -> float:
