@@ -4,7 +4,7 @@ FROM ros:jazzy
 SHELL ["/bin/bash", "-o", "pipefail", "-c"]
 WORKDIR /ws
 COPY . src/ambush_planner
-# highspy, which solves plans, mcap-ros2-support, for recordings, and threadpoolctl are not in apt.
+# highspy, for faster plans, mcap-ros2-support, for recordings, and threadpoolctl are not in apt.
 # hadolint ignore=DL3008,DL3013
 RUN apt-get update \
     && apt-get install -y --no-install-recommends python3-pip \

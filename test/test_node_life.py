@@ -112,4 +112,4 @@ def test_a_missing_highspy_is_said_with_the_remedy(tmp_path, monkeypatch):
     monkeypatch.setattr(planner_node, 'HAS_HIGHSPY', False)
     with stderr_in(tmp_path / 'log') as said, stage() as running:
         assert 'highspy' not in running.client.diagnostics(state='waiting')['message']
-    assert said().count('pip install highspy') == 1 and '[ERROR]' in said()
+    assert said().count('pip install highspy') == 1 and '[INFO]' in said()

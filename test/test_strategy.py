@@ -2,6 +2,8 @@
 """Laws of every published strategy by independent oracles; budgets, time limits, errors."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -231,6 +233,28 @@ def test_a_solver_that_fails_is_named(monkeypatch, recwarn):
     strategy = solve(terrain_network(4, cells=14), GameOptions(ambush_radius=2.0))
     assert strategy.reason == 'solver' and 0.0 <= strategy.lower_bound < strategy.value
     assert not [str(each.message) for each in recwarn]
+
+
+WITHOUT_HIGHSPY = """
+import sys
+sys.modules['highspy'] = None
+from ambush_planner import GameOptions, NetworkOptions, RiskMap, build_network, solve
+import numpy as np
+risk_map = RiskMap(1.0 + np.arange(400.0).reshape(20, 20) % 7, np.zeros((20, 20), bool), 1.0)
+network = build_network(risk_map, (2.0, 10.0), (18.0, 10.0), NetworkOptions(spacing=1.5))
+strategy = solve(network, GameOptions(ambush_radius=1.5))
+print(strategy.value, strategy.lower_bound)
+"""
+
+
+def test_without_highspy_scipy_finds_the_same_value():
+    without, with_it = (
+        subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                       check=True).stdout.split()
+        for code in (WITHOUT_HIGHSPY, WITHOUT_HIGHSPY.replace("sys.modules['highspy'] = None", '')))
+    for value, bound in (without, with_it):
+        assert float(bound) <= float(value) <= 1.011 * float(bound)
+    assert float(without[1]) == pytest.approx(float(with_it[1]), rel=2e-3)
 
 
 # What a strategy is worth on other losses.

@@ -90,8 +90,8 @@ class PlannerNode(LifecycleNode):
             logger.warning('the parameter seed is set: every run draws the same sequence of '
                            'routes, which can be predicted; use it for tests and replay only')
         if not HAS_HIGHSPY:
-            logger.error('plans need the Python package highspy, which is missing: '
-                         'pip install highspy')
+            logger.info('plans are solved sooner with the Python package highspy: '
+                        'pip install highspy')
         self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
                                   Publishers(self, STATUS_TOPICS), self._present)
         self._reporter.set(records=current.recording.enabled)

@@ -31,7 +31,7 @@ class FaceFlows(GrowingProgram):
 
     def release(self, node: int) -> None:
         """Drop the balance of a node, which follows from that of the other nodes of its graph."""
-        self._model.changeRowBounds(node, -self._highs.kHighsInf, self._highs.kHighsInf)
+        self.free_row(node)
         self._free.append(node)
 
     def add_arcs(self, nodes: IndexArray, entries: FloatArray, cost: FloatArray, low: FloatArray,
@@ -41,14 +41,8 @@ class FaceFlows(GrowingProgram):
         return self.add_columns(cost, low, high, csr_matrix(
             (entries.ravel(), nodes.ravel(), 2 * np.arange(count + 1)), (count, self.rows)))
 
-    def start_at(self, limit: IndexArray) -> None:
+    def start_at_limits(self, limit: IndexArray) -> None:
         """Set the first basis: each column at its lower (-1) or upper (1) limit, or basic (0)."""
-        status = {-1: self._highs.HighsBasisStatus.kLower, 0: self._highs.HighsBasisStatus.kBasic,
-                  1: self._highs.HighsBasisStatus.kUpper}
-        basis = self._highs.HighsBasis()
-        basis.col_status = [status[each] for each in limit.tolist()]
         rows = np.full(self.rows, -1)
         rows[self._free] = 0
-        basis.row_status = [status[each] for each in rows.tolist()]
-        basis.valid = True
-        self._model.setBasis(basis)
+        self.start_at(limit, rows)

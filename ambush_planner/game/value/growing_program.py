@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A linear program that only grows, in the memory of HiGHS.
+"""A linear program that only grows.
 
     minimise cost' x   subject to   least <= A x <= most,   low <= x <= high
 
-Each solve starts from the basis of the previous one. It stays feasible for the primal simplex
-method when columns are added, and for the dual simplex method when rows are.
+In the memory of HiGHS (highspy), each solve starts from the basis of the previous one. It stays
+feasible for the primal simplex method when columns are added, and for the dual simplex method when
+rows are. Without highspy, scipy solves it from the start each time.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ from __future__ import annotations
 import importlib.util
 import time
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, hstack, vstack
 
 from ...arrays import FloatArray, IndexArray
 from ...errors import SolverFailed, TimeLimit
+from . import highs
 
 HAS_HIGHSPY = importlib.util.find_spec('highspy') is not None
 
@@ -69,8 +71,11 @@ def _set_options(model: Any, options: dict[str, Any]) -> None:
         model.setOptionValue(name, setting)
 
 
-class GrowingProgram:
-    """The program; rows and columns are numbered in the order in which they are added."""
+class HighsProgram:
+    """The program in HiGHS' memory; rows and columns are numbered in the order of their addition.
+
+    ``simplex`` is HiGHS' method; limits are kept to ``tolerance``.
+    """
 
     def __init__(self, simplex: int, tolerance: float) -> None:
         import highspy
@@ -103,6 +108,20 @@ class GrowingProgram:
         """Change the costs of columns (K,)."""
         self._model.changeColsCost(len(columns), columns.astype(np.int32), cost)
 
+    def free_row(self, row: int) -> None:
+        """Drop the limits of a row."""
+        self._model.changeRowBounds(row, -self._highs.kHighsInf, self._highs.kHighsInf)
+
+    def start_at(self, columns: IndexArray, rows: IndexArray) -> None:
+        """Set the first basis: each at its lower (-1) or upper (1) limit, or basic (0)."""
+        status = {-1: self._highs.HighsBasisStatus.kLower, 0: self._highs.HighsBasisStatus.kBasic,
+                  1: self._highs.HighsBasisStatus.kUpper}
+        basis = self._highs.HighsBasis()
+        basis.col_status = [status[each] for each in columns.tolist()]
+        basis.row_status = [status[each] for each in rows.tolist()]
+        basis.valid = True
+        self._model.setBasis(basis)
+
     def solve(self, deadline: float) -> Solution:
         """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
         left = _time_left(deadline)
@@ -117,6 +136,65 @@ class GrowingProgram:
         found = self._model.getSolution()
         return Solution(np.array(found.col_value), np.array(found.row_dual),
                         self._model.getInfo().objective_function_value)
+
+
+class ScipyProgram:
+    """The same without highspy."""
+
+    def __init__(self, simplex: int, tolerance: float) -> None:
+        self._tolerance, self.rows, self.columns = tolerance, 0, 0
+        self._matrix = csr_matrix((0, 0))
+        self._least, self._most, self._cost, self._low, self._high = (np.zeros(0) for _ in range(5))
+
+    def add_rows(self, least: FloatArray, most: FloatArray, entries: csr_matrix) -> IndexArray:
+        """See ``HighsProgram.add_rows``."""
+        self._matrix = csr_matrix(vstack((self._matrix, entries)))
+        self._least, self._most = np.append(self._least, least), np.append(self._most, most)
+        self.rows = len(self._least)
+        return np.arange(self.rows - len(least), self.rows)
+
+    def add_columns(self, cost: FloatArray, low: FloatArray, high: FloatArray,
+                    entries: csr_matrix) -> IndexArray:
+        """See ``HighsProgram.add_columns``."""
+        self._matrix = csr_matrix(hstack((self._matrix, entries.T)))
+        self._cost = np.append(self._cost, cost)
+        self._low, self._high = np.append(self._low, low), np.append(self._high, high)
+        self.columns = len(self._cost)
+        return np.arange(self.columns - len(cost), self.columns)
+
+    def change_costs(self, columns: IndexArray, cost: FloatArray) -> None:
+        """Change the costs of columns (K,)."""
+        self._cost[columns] = cost
+
+    def free_row(self, row: int) -> None:
+        """Drop the limits of a row."""
+        self._least[row], self._most[row] = -np.inf, np.inf
+
+    def start_at(self, columns: IndexArray, rows: IndexArray) -> None:
+        """Do nothing: each solve chooses its own first basis."""
+
+    def solve(self, deadline: float) -> Solution:
+        """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
+        equal = np.flatnonzero(self._least == self._most)
+        above = np.flatnonzero((self._least != self._most) & (self._most < np.inf))
+        below = np.flatnonzero((self._least != self._most) & (self._least > -np.inf))
+        lp = highs.LP(self._cost, csr_matrix(vstack((self._matrix[above], -self._matrix[below]))),
+                      np.append(self._most[above], -self._least[below]), self._matrix[equal],
+                      self._least[equal], bounds=np.column_stack((self._low, self._high)))
+        found = highs.run(lp, 'simplex', deadline, precision=self._tolerance / highs.FEASIBILITY)
+        if found.x is None:
+            raise SolverFailed(f'HiGHS ended a linear program: {found.message}')
+        duals, marginals = np.zeros(self.rows), np.asarray(found.ineqlin.marginals)
+        duals[equal] = found.eqlin.marginals
+        duals[above] += marginals[:len(above)]
+        duals[below] -= marginals[len(above):]
+        return Solution(np.array(found.x), duals, float(found.fun))
+
+
+if TYPE_CHECKING or HAS_HIGHSPY:
+    GrowingProgram = HighsProgram
+else:
+    GrowingProgram = ScipyProgram
 
 
 def _by_rows(entries: csr_matrix) -> tuple[int, IndexArray, IndexArray, FloatArray]:

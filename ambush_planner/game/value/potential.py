@@ -199,7 +199,7 @@ class Potential:
             np.tile([1.0, -1.0], (len(real), 1)), -faces.crossed[real].astype(np.float64),
             -high, high)
         self._flows.release(int(self._rows[0]))
-        self._flows.start_at(links.full_links())
+        self._flows.start_at_limits(links.full_links())
         return links
 
     def _heights(self, potential: FloatArray, first: int = 0) -> FloatArray:
