@@ -27,7 +27,7 @@ from .discs import ExposedEdges, SecuredArea, secured_area
 
 # Where a site stands for all places around it, one node is a site in each square of this side
 # [reaches]; separation over the cells of the map adds what others could.
-SITE_SQUARE = 0.3
+SITE_SQUARE = 0.4
 # A disc of the secured area (x, y, radius) [m].
 SecuredPlace = tuple[float, float, float]
 
