@@ -74,6 +74,20 @@ class Budget:
         """The limit minus the length of the shortest playable route, > 0."""
         return self.limit - float(self._to_target[self.game.network.source])
 
+    @property
+    def allows_only_shortest(self) -> bool:
+        """Return whether only shortest routes are within the limit: an LP has no interior then."""
+        return self.margin <= ROUNDING * self.limit
+
+    def deterring_price(self, loss: float) -> float:
+        """Price of the margin at which the shortest of the longer routes pays ``loss``.
+
+        If only shortest routes are allowed, an LP's dual can be less, even 0, and then the longer
+        routes lower the bound.
+        """
+        longer = self.reduced_cost[self.reduced_cost > ROUNDING * self.limit]
+        return loss / float(longer.min(initial=np.inf))
+
     @cached_property
     def reduced_cost(self) -> FloatArray:
         """Reduced cost (M,) of each edge, >= 0; inf if not playable.

@@ -80,8 +80,11 @@ class EdgeFlows:
         q, prices = np.split(duals, [len(legs.loss)])
         margins = np.array([budget.margin for budget in legs.budgets])
         total = float(q.sum())
-        self.ambush = Ambush(q / total, np.where(np.isfinite(margins), prices / margins, 0.0)
-                             * unit / total)
+        prices = np.where(np.isfinite(margins), prices / margins, 0.0) * unit / total
+        for k, budget in enumerate(legs.budgets):
+            if budget.allows_only_shortest:
+                prices[k] = max(prices[k], budget.deterring_price(self.value))
+        self.ambush = Ambush(q / total, prices)
         ambusher = self.ambush.ambusher(legs.games[0], np.ones(len(q), dtype=bool))
         self.bound, self._solved = float(lower_bounds(legs, ambusher).sum()), True
 

@@ -111,12 +111,9 @@ def linear_program_strategy(game: Game, options: StrategyOptions, length: Budget
     p[lp.edge] = _conserve(lp, np.maximum(result.x[:-1], 0.0))
     price = length_weight / lp.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     q, price = _ambusher(game, lp, result, price)
-    if row_added and length_weight == 0.0 and _leaves_no_margin(length):
-        # At the LP's price, routes over edges that are on no shortest route would lower the bound.
-        # At this one, the shortest of them already pays all that it could save.
-        longer = length.reduced_cost[length.reduced_cost > ROUNDING * length.limit]
-        high = entry_value(game, shortest_route_strategy(game)) / longer.min(initial=np.inf)
-        price = max((price, float(high)), key=lambda each: entry_bound(game, length, q, each))
+    if row_added and length_weight == 0.0 and length.allows_only_shortest:
+        high = length.deterring_price(entry_value(game, shortest_route_strategy(game)))
+        price = max((price, high), key=lambda each: entry_bound(game, length, q, each))
     own_length = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or length.keeps(p))
     legs, ambusher = Legs((whole,), (length if limited else own_length,)), Ambusher(q, (price,))
@@ -128,11 +125,6 @@ def linear_program_strategy(game: Game, options: StrategyOptions, length: Budget
 
 
 
-def _leaves_no_margin(budget: Budget) -> bool:
-    """Return whether only shortest routes are within the budget: then the LP has no interior."""
-    return budget.margin <= ROUNDING * budget.limit
-
-
 def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value.
@@ -140,7 +132,7 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
     Without a margin, only the edges of shortest routes remain.
     """
     unit = entry_value(game, shortest_route_strategy(game)) or 1.0
-    if length_weight == 0.0 and _leaves_no_margin(length):
+    if length_weight == 0.0 and length.allows_only_shortest:
         shortest = game.least_weights(length.reduced_cost) <= ROUNDING * length.limit
         game = game.restricted_to(shortest) or game
     for _ in range(ROUNDS):
