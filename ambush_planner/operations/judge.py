@@ -116,7 +116,7 @@ def _interval(driven: PathMixture) -> tuple[float, float]:
 
 def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, near: float,
                reach: float) -> tuple[list[Track], list[LeftOut]]:
-    """Extract the trips from start to goal, and list what is left out.
+    """Extract the trips from start to goal, and the tracks and trips that do not count.
 
     A trip begins at its start and ends at its goal exactly. It leads from the last approach to the
     start, within ``near`` [m], to the first approach to the goal after it; a track can have several

@@ -111,8 +111,7 @@ def strategy_from_file(data: bytes, options: GameOptions) -> TripStrategy:
     p = [frozen_array(each[_P], np.float64) for each in content]
     if any(len(each) != len(network.edges) for each, network in zip(p, networks, strict=True)):
         raise ValueError('its probabilities are not those of its network')
-    ambusher = Ambusher(q,
-                        tuple(float(each[_BUDGET[2]]) for each in content),
+    ambusher = Ambusher(q, tuple(float(each[_BUDGET[2]]) for each in content),
                         tuple(Circulation(*(each[name] for name in _CIRCULATION))
                               for each in content if _CIRCULATION[0] in each))
     # The bounds of the solve are enough: larger ones can take seconds.

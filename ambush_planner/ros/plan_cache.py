@@ -174,8 +174,8 @@ class PlanCache:
         """Solve for exactly this trip.
 
         If the network is to be refined and no refined plan is known, on whichever map, the outcome
-        is a first plan, and refined behind it. Then nobody waits any more, nor for a ``background``
-        solve: the next one that somebody waits for ends both.
+        is a first plan, which is then refined. A refinement and a ``background`` solve have no
+        callers: the next solve that has one ends them.
         """
         parameters, grid = trip.parameters, trip.map
         wanted = [parameters]
