@@ -132,6 +132,7 @@ def _around_flow(search: Search) -> RouteDistribution:
                                      search.deadline)
     distribution.add_sites(search.entering, search.loss)
     distribution.measure(_cap(search))
+    distribution.start_at(search.program.ambush, legs.budgets)
     return distribution
 
 

@@ -15,12 +15,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray
 
-# Growth of the spacing per distance from the rim of the secured area, and from the discs around
+# Growth of the spacing per distance from the rim of the secured area, and from the rings around
 # refined places.
 END_GROWTH, PLACE_GROWTH = 0.25, 0.5
-# Below the first spacing, a refined place is fine in a ring only, of the second radius and the
-# third half-width. All are shares of the radius of refined places.
-RING_BELOW, RING, HALF_WIDTH = 0.07, 0.88, 0.12
+# A refined place is fine in a ring, of this mean radius and half-width [radius of refined places].
+RING, HALF_WIDTH = 0.88, 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,25 +32,27 @@ class Grading:
         Least spacing around the ends [m].
     rim
         Radius of the secured area around start, stops and goal [m].
-    refined : (K, 3), radius
-        Refined places (x, y) and their spacings [m], which hold within ``radius`` [m]. The smallest
-        spacings hold in a ring only, where routes squeeze past an ambush.
+    refined : (K, 3), optional
+        Refined places (x, y) and their spacings [m], which hold in a ring, where routes squeeze
+        past an ambush. None: the spacing is plain everywhere.
+    radius
+        Outer radius of the rings [m].
     """
 
     finest: float
     rim: float
-    refined: FloatArray
+    refined: FloatArray | None
     radius: float
 
     def spacing_at(self, points: FloatArray, ends: FloatArray, plain: float) -> FloatArray:
         """Return the spacing (K,) [m] at points (K, 2), for ``ends`` (E, 2); at most ``plain``."""
+        if self.refined is None:
+            return np.full(len(points), plain)
         excess = cKDTree(ends).query(points)[0] - self.rim
         spacing = np.maximum(END_GROWTH * excess, self.finest)
         for finest in np.unique(self.refined[:, 2]):
             places = self.refined[self.refined[:, 2] == finest, :2]
             distance = cKDTree(places).query(points)[0] / self.radius
-            excess = distance - 1.0
-            if finest < RING_BELOW * self.radius:
-                excess = np.abs(distance - RING) - HALF_WIDTH
+            excess = np.abs(distance - RING) - HALF_WIDTH
             spacing = np.minimum(spacing, np.maximum(PLACE_GROWTH * self.radius * excess, finest))
         return np.minimum(spacing, plain)

@@ -111,9 +111,12 @@ def is_graded(options: PlanningOptions) -> bool:
 
 def grading(risk_map: RiskMap, options: PlanningOptions,
             refined: FloatArray | None) -> Grading | None:
-    """Return the grading of the network, with ``Network.refined`` (K, 3); None: plain."""
+    """Return the grading of the network, with ``Network.refined`` (K, 3); None: plain.
+
+    A first network, whose ``refined`` is None, has passes and the budget of those that follow.
+    """
     network, reach = options.network, options.game.ambush_radius
-    if refined is None or not is_graded(options):
+    if not is_graded(options):
         return None
     secured = _driven_game(options, node_spacing(risk_map, network)).secured_distance
     return Grading(useful_spacing(risk_map, FINEST * reach), secured, refined,

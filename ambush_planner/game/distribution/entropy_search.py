@@ -7,10 +7,10 @@ c = b + C' v has the greatest route entropy less b' p if v >= 0 minimises the co
     log Z(b + C' v) + sum v,    gradient 1 - C p,   Hessian the covariance of the rows' costs.
 
 This function is at least the entropy less b' p of any strategy with C p <= 1. So a value below
--max b' p proves that no such strategy exists. The search begins with L-BFGS-B, which scales the
-multipliers to bring the Hessian's diagonal near 1. Newton's method ends it, in the multipliers of
-the tight limits, with Levenberg-Marquardt damping. The search goes on as long as rounds lower the
-function noticeably.
+-max b' p proves that no such strategy exists. The search begins at the best multiple of the given
+multipliers, with L-BFGS-B, which scales them to bring the Hessian's diagonal near 1. Newton's
+method ends it, in the multipliers of the tight limits, with Levenberg-Marquardt damping. The search
+goes on as long as rounds lower the function noticeably.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class _DualSearch:
 
     def run(self, start: FloatArray) -> None:
         """Alternate L-BFGS and Newton's method until a turn gains next to nothing."""
-        self.quasi_newton(start)
+        self.quasi_newton(self.best_multiple(start))
         # Least gain of an evaluation with which a turn of them can find the missing entropy.
         previous, gain = np.inf, self.accuracy.missing / ENTROPY.evaluations
         for _ in range(ENTROPY.turns):
@@ -142,6 +142,16 @@ class _DualSearch:
             self.quasi_newton(self.found.multipliers)
         else:
             self.found.infeasible = self.found.violation > self.accuracy.excess
+
+    def best_multiple(self, start: FloatArray) -> FloatArray:
+        """Double ``start`` (R,) as long as that lowers the function."""
+        value, _ = self(start)
+        while start.any():
+            doubled, _ = self(2.0 * start)
+            if not doubled < value:
+                break
+            start, value = 2.0 * start, doubled
+        return start
 
     def quasi_newton(self, start: FloatArray) -> None:
         """Run L-BFGS-B on the scaled multipliers."""
