@@ -169,6 +169,42 @@ def _building(rng: np.random.Generator, cells: int) -> Scenario:
     return _across(1.0 + 9.0 * _noise(rng, shape, 0.05 * cells), wall)
 
 
+def _waves(rng: np.random.Generator, cells: int) -> Scenario:
+    """Losses 1..10 of six waves, impassable where they are largest."""
+    y, x = (np.mgrid[0:cells, 0:cells] + 0.5) / cells
+    sines = sum(np.sin(7 * a * x + 7 * b * y + 3 * c) for a, b, c in rng.normal(size=(6, 3)))
+    height = np.asarray((sines - np.min(sines)) / np.ptp(sines))
+    return _midway(height, height > np.quantile(height, 0.92))
+
+
+def _patches(rng: np.random.Generator, cells: int) -> Scenario:
+    """Losses 1..10 of patches of 6 cells, among obstacles of 9."""
+    losses, blocked = (gaussian_filter(rng.normal(size=(cells, cells)), each) for each in (6, 9))
+    return _midway(losses, blocked > np.quantile(blocked, 0.9))
+
+
+def _free_walls(rng: np.random.Generator, cells: int) -> Scenario:
+    """26 straight walls that need not meet."""
+    wall = np.zeros((cells, cells), dtype=bool)
+    for _ in range(26):
+        x, y = rng.integers(10, cells - 10, 2)
+        length = rng.integers(20, 60)
+        if rng.random() < 0.5:
+            wall[y - 1 : y + 1, x : x + length] = True
+        else:
+            wall[y : y + length, x - 1 : x + 1] = True
+    return _midway(gaussian_filter(rng.normal(size=(cells, cells)), 10), wall)
+
+
+def _midway(height: FloatArray, obstacles: BoolArray) -> Scenario:
+    """From the free cell nearest to the middle of the left edge to that of the right edge."""
+    alpha, cells = 1.0 + 9.0 * (height - height.min()) / np.ptp(height), len(height)
+    free = np.argwhere(~obstacles)[:, ::-1]
+    start, goal = (free[((free - (share * cells, 0.5 * cells))**2).sum(axis=1).argmin()] + 0.5
+                   for share in (0.06, 0.94))
+    return Scenario(RiskMap(alpha, obstacles, 1.0), tuple(start.tolist()), tuple(goal.tolist()))
+
+
 def _between_random_ends(make: Family) -> Family:
     """Start and goal anywhere on a scenario's map, at least half its width apart."""
 
@@ -197,6 +233,7 @@ FAMILIES: dict[str, Family] = {
     'city': _between_random_ends(lambda rng, _: city(int(rng.integers(2**31)))),
     'maze': _between_random_ends(lambda rng, _: maze(seed=int(rng.integers(2**31)))),
     'terrain': _between_random_ends(lambda *_: terrain()),
+    'waves': _waves, 'patches': _patches, 'free-walls': _free_walls,
     'block': lambda _, cells: _across(block(cells).alpha, block(cells).obstacles),
 }
 

@@ -18,6 +18,7 @@ from ambush_planner import (
 )
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.construction import build_trip_graph
+from ambush_planner.network.grading import RING
 from ambush_planner.network.passages import pass_nodes
 from ambush_planner.network.shortest_way import LATTICE_RATIO, taut_length
 from ambush_planner.planning.options import grading
@@ -59,7 +60,7 @@ def test_the_network_is_fine_around_the_secured_area_and_refined_places():
     network = network_of(yard(), options, refined)
     apart = cKDTree(network.points).query(network.points, 2)[0][:, 1]
     fine = grading(yard(), options, refined)
-    for centre, radius, most in ((START, fine.rim, 1.4), ((30.0, 30.0), 0.0, 1.6)):
+    for centre, radius, most in ((START, fine.rim, 1.4), ((30.0, 30.0), RING * fine.radius, 1.6)):
         there = np.abs(np.hypot(*(network.points - centre).T) - radius) < 1.5
         assert there.sum() > 4 and np.median(apart[there]) < most
     middle = (np.abs(network.points - (30.0, 10.0)) < 6.0).all(axis=1)

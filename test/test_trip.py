@@ -36,6 +36,7 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
+from ambush_planner.arrays import ROUNDING
 from ambush_planner.game.game import make_games
 from ambush_planner.game.proof import _leg_targets
 from ambush_planner.game.solver import solve_legs
@@ -356,5 +357,5 @@ def test_a_plan_is_never_worse_than_that_of_the_plain_network_in_the_same_time(
             plan = plan_trip(risk_map, START, GOAL, options)
             values.append(plan.value)
         refined += plan.network.refined is not None
-        assert values[-1] <= values[-2]
+        assert values[-1] <= values[-2] * (1.0 + ROUNDING)
     assert refined and min(values[1::2]) < min(values[::2])

@@ -55,11 +55,13 @@ def find_distribution(search: Search) -> Incumbent:
 def find_chain(search: Search) -> Incumbent | None:
     """Find the chains of greatest entropy within the tolerance, or of least value if none is.
 
-    They are found in rounds that begin at the program's flow; every chain on the way counts. Rounds
-    begin again if no distribution near a chain keeps to the caps of added sites. Returns None if no
-    chain keeps the budgets.
+    They are found in rounds that begin at the latest distribution, or at the program's flow; every
+    chain on the way counts. Rounds begin again if no distribution near a chain keeps to the caps of
+    added sites. Returns None if no chain keeps the budgets.
     """
-    program, distribution, entropy = search.program, _around_flow(search), 0.0
+    program, entropy = search.program, 0.0
+    distribution = search.distribution or _around_flow(search)
+    distribution.measure(_cap(search))
     best: Incumbent | None = None
     known = len(search.loss)  # sites when rounds began
     end, begin = search.deadline, time.monotonic()
@@ -98,6 +100,7 @@ def find_chain(search: Search) -> Incumbent | None:
     if best and not best.within_tolerance:
         find_sites(search, ROUNDS)
         best = search.better(best, _around_flow(search))
+    search.distribution = distribution
     return best
 
 
@@ -107,7 +110,7 @@ def _cap(search: Search) -> float:
     if isinstance(program, Routes):
         least = ceiling(program.value, FLOW_TOLERANCE * search.tolerance)
         return max(program.bound, least / ceiling(1.0, search.tolerance))
-    return program.bound
+    return min(program.bound, search.proved)
 
 
 def _around_flow(search: Search) -> RouteDistribution:

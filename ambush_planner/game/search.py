@@ -135,7 +135,8 @@ class Search:
 
     ``points`` (S, 2), ``loss`` (S,) and ``entering`` (S, M) belong to the sites. ``earlier`` has
     the ambushers of programs that were replaced, ``reason`` says why the program ended last, and
-    ``evaluations`` counts the Gibbs distributions that were computed.
+    ``evaluations`` counts the Gibbs distributions that were computed. ``distribution`` is the
+    latest one, and ``proved`` the bound that a certificate has.
     """
 
     def __init__(self, problem: SearchProblem, program: Program) -> None:
@@ -146,6 +147,8 @@ class Search:
         self.evaluations = 0
         self.earlier: list[Ambush] = []
         self.reason: Reason = 'stalled'
+        self.distribution: RouteDistribution | None = None
+        self.proved = math.inf
 
     @property
     def deadline(self) -> float:

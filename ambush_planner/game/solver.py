@@ -13,19 +13,21 @@ from ..errors import InvalidNetwork, InvalidOption, TimeLimit, warn
 from ..maps.risk_map import MAX_LOSS, MIN_LOSS
 from ..network.network import Network
 from .budget import length_budget
-from .distribution_search import find_distribution
+from .distribution_search import find_chain, find_distribution
 from .game import Game, GameOptions, make_games
 from .hits import largest_product
 from .legs import Legs
 from .proof import certify
 from .search import Incumbent, Search, SearchProblem, SiteSearch
 from .strategy import Strategy, StrategyOptions, TripStrategy
-from .tolerance import ROUNDS
+from .tolerance import ROUNDS, within
 from .value.linear_program import linear_program_strategy
 from .value_search import find_sites, find_value, find_value_by_max_flow, program_law, tighten
 
 # Probability of a hit from which on an ambush hits every route, up to rounding.
 ALL_ROUTES = 1.0 - NEGLIGIBLE
+# Share of the tolerance that a bound may lose when it is proved, for routes to go on below it.
+PROVED = 0.6
 # Time kept after the search for proofs, and after proofs for the rest: a share of the time limit,
 # and the most of it [s].
 RESERVE = 0.05, 1.0
@@ -148,8 +150,18 @@ def solve_problem(problem: SearchProblem) -> TripStrategy:
 
 
 def finish(search: Search) -> TripStrategy:
-    """Run the last two stages: distribution and certificate."""
-    return certify(search, find_distribution(search))
+    """Run the last two stages: distribution and certificate.
+
+    If the certificate proves slightly less than the program's bound, and so is not within the
+    tolerance, the distribution goes on within caps of the bound that is proved.
+    """
+    found = certify(search, find_distribution(search))
+    if found.reason != 'stalled' or not within(search.program.bound, found.lower_bound,
+                                               PROVED * search.tolerance):
+        return found
+    search.proved = found.lower_bound
+    best = find_chain(search)
+    return certify(search, best) if best and best.within_tolerance else found
 
 
 def finish_flow(search: Search) -> TripStrategy:

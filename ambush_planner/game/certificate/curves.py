@@ -17,23 +17,23 @@ every route meets it, at most n times.
 
 from __future__ import annotations
 
-import itertools
+import heapq
 import math
 import time
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components
 
-from ...arrays import NEGLIGIBLE, ROUNDING, BoolArray, FloatArray, IndexArray, sums
+from ...arrays import NEGLIGIBLE, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from ..budget import Budget
 from ..distribution.acyclic import simple_cycles
 from ..faces import Circulation, Faces
 
-# Maximum number of sets of a curve's sites, all of one size, that are enumerated.
-MAX_SETS = 300
+# Maximum number of labels of a search for the route that meets a curve least often.
+MAX_LABELS = 10_000
 
 
 def curve_bound(faces: Faces, circulation: Circulation, site_prices: FloatArray, budget: Budget,
@@ -130,38 +130,44 @@ class _Crossings:
     """Counts how often every route of a leg meets a curve."""
 
     def __init__(self, faces: Faces) -> None:
-        network, edge = faces.game.network, np.flatnonzero(faces.game.playable)
-        order = edge[np.lexsort((network.heads[edge], network.tails[edge]))]
-        self._ends, self._head = (network.source, network.target), network.heads[order]
-        count = faces.game.node_count
-        self._first = np.searchsorted(network.tails[order], np.arange(count + 1))
-        self._link, self._order, self._entering = faces.link[order], order, faces.game.entering
+        network = faces.game.network
+        self._edge = np.flatnonzero(faces.game.playable)
+        self._tail, self._head = network.edges[self._edge].T
+        self._count, self._ends = faces.game.node_count, (network.source, network.target)
+        self._link, self._entering = faces.link[self._edge], faces.game.entering
 
     def least_met(self, links: IndexArray, rows: IndexArray, winds: int) -> int:
         """Least number of a curve's links and sites that a route meets, at most ``winds``.
 
-        A site counts once, a link each time. A route that meets no site crosses ``winds`` links.
-        Sets of sites are enumerated: for each, a route may meet no others.
+        A site counts once, a link each time. The search sets labels, each with the sites met, on
+        the regions into which links and sites divide the network. After ``MAX_LABELS`` it returns
+        the number that no route is below.
         """
+        entering = csr_matrix(self._entering[rows][:, self._edge]).tocoo()
+        sites = np.zeros(len(self._edge), dtype=object)
+        np.add.at(sites, entering.col, np.array([1 << row for row in entering.row.tolist()],
+                                                dtype=object))
         crossing = np.isin(self._link, links)
-        entering = csr_matrix(self._entering[rows][:, self._order])
-        times, least = np.asarray(entering.sum(axis=0)).ravel(), winds
-        for count in range(1, winds):
-            if math.comb(len(rows), count) > MAX_SETS:
-                return min(count, least)
-            for met in itertools.combinations(range(len(rows)), count):
-                if count >= least:
-                    return least
-                free = np.asarray(entering[list(met)].sum(axis=0)).ravel()
-                crossed = self._crossed(crossing, times > free, least - count)
-                least = min(least, count + crossed)
-        return least
-
-    def _crossed(self, crossing: BoolArray, blocked: BoolArray, limit: int) -> int:
-        """Fewest ``crossing`` edges on a route without ``blocked`` ones, at most ``limit``."""
-        weight = np.where(blocked, np.inf, np.where(crossing, 1.0, ROUNDING))
-        count = len(self._first) - 1
-        graph = csr_matrix((weight, self._head, self._first), (count, count))
-        source, target = self._ends
-        fewest = dijkstra(graph, indices=source, limit=limit - 0.5)[target]
-        return min(round(fewest), limit) if np.isfinite(fewest) else limit
+        open_ = ~crossing & (sites == 0)
+        joined = csr_matrix((np.ones(open_.sum()), (self._tail[open_], self._head[open_])),
+                            (self._count, self._count))
+        region = connected_components(joined, connection='strong')[1]
+        source, target = region[list(self._ends)].tolist()
+        steps: dict[int, set[tuple[int, int, bool]]] = {}
+        tails, heads = region[self._tail], region[self._head]
+        for k in np.flatnonzero(tails != heads).tolist():
+            steps.setdefault(int(tails[k]), set()).add(
+                (int(heads[k]), sites[k], bool(crossing[k])))
+        queue, labels = [(0, 0, 0, source)], set[tuple[int, int, int]]()
+        while queue:
+            met, crossed, known, place = heapq.heappop(queue)
+            if place == target or len(labels) == MAX_LABELS:
+                return met
+            if (crossed, known, place) in labels:
+                continue
+            labels.add((crossed, known, place))
+            for head, more, crosses in steps.get(place, ()):
+                met = crossed + crosses + (known | more).bit_count()
+                if met < winds:
+                    heapq.heappush(queue, (met, crossed + crosses, known | more, head))
+        return winds

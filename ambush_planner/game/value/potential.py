@@ -15,7 +15,6 @@ faces at which a disc exceeds its cap, are new columns of the same model.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -93,7 +92,7 @@ class Potential:
         # Columns: the pairs added, up out of a face or down into one.
         self._joined, self._columns = (np.zeros(0, dtype=np.int64) for _ in range(2))
         self._up = np.zeros(0, dtype=bool)
-        self._blend = np.zeros(0)  # (points,)
+        self._blend = np.ones(1)  # (points,), of the first points
         self._flows = FaceFlows()
         self._rows = self._flows.add_nodes(faces.count)
         self._links = self._add_links()
@@ -124,7 +123,8 @@ class Potential:
             self.bound, self.price, self._circulations = float(certain.max()), 0.0, ()
             self.q = np.zeros(len(certain))
             self.q[certain.argmax()] = 1.0
-        self._mix(math.inf)
+        hits = np.stack([point.hits for point in self._points[: len(self._blend)]])
+        self.value = float((self._blend @ (self._loss * hits)).max(initial=0.0))
 
     def tighten(self, gap: float) -> None:
         """Set the relative gap of the next ``solve``."""
@@ -171,9 +171,8 @@ class Potential:
     def flow(self) -> FloatArray:
         """Acyclic strategy (M,) within the budget."""
         budget, (game,) = self._budget, self.legs.games
-        shortest, p = shortest_route_strategy(game, budget.cost), None
-        if len(self._blend):
-            p = conserved_strategy(game, self.faces.flow(self._mixed_potential()), ROUNDING)
+        shortest = shortest_route_strategy(game, budget.cost)
+        p = conserved_strategy(game, self.faces.flow(self._mixed_potential()), ROUNDING)
         if p is None:
             return shortest
         used = float(p[p > 0.0] @ budget.reduced_cost[p > 0.0])
