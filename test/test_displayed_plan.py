@@ -209,8 +209,9 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
 
 
 def test_a_refinement_that_was_cancelled_begins_again_with_the_next_departure():
+    fine = np.repeat(np.linspace(60, 10, 100).astype(np.int8)[:, None], 100, axis=1)
     with stage(parameters={**LONG, 'network.refine': -1}) as running:
-        client = running.give()
+        client = running.give(risk_grid(fine, 0.1))
         for _ in range(2):
             assert client.call('new_route').success
             client.diagnostics(refining='yes')

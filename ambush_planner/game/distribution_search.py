@@ -135,7 +135,10 @@ def _around_flow(search: Search) -> RouteDistribution:
                                      search.deadline)
     distribution.add_sites(search.entering, search.loss)
     distribution.measure(_cap(search))
-    distribution.start_at(search.program.ambush, legs.budgets)
+    ambush = search.program.ambush
+    distribution.start_at(ambush.q, np.array([
+        price * budget.margin for price, budget in zip(ambush.prices, legs.budgets, strict=True)
+        if budget.is_limited]))
     return distribution
 
 

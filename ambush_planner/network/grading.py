@@ -29,7 +29,7 @@ class Grading:
     Parameters
     ----------
     finest
-        Least spacing around the ends [m].
+        Least spacing, at the rim of the secured area around the ends [m].
     rim
         Radius of the secured area around start, stops and goal [m].
     refined : (K, 3), optional
@@ -48,11 +48,11 @@ class Grading:
         """Return the spacing (K,) [m] at points (K, 2), for ``ends`` (E, 2); at most ``plain``."""
         if self.refined is None:
             return np.full(len(points), plain)
-        excess = cKDTree(ends).query(points)[0] - self.rim
-        spacing = np.maximum(END_GROWTH * excess, self.finest)
+        from_rim = np.abs(cKDTree(ends).query(points)[0] - self.rim)
+        spacing = np.maximum(END_GROWTH * from_rim, self.finest)
         for finest in np.unique(self.refined[:, 2]):
             places = self.refined[self.refined[:, 2] == finest, :2]
             distance = cKDTree(places).query(points)[0] / self.radius
-            excess = np.abs(distance - RING) - HALF_WIDTH
-            spacing = np.minimum(spacing, np.maximum(PLACE_GROWTH * self.radius * excess, finest))
+            from_ring = self.radius * (np.abs(distance - RING) - HALF_WIDTH)
+            spacing = np.minimum(spacing, np.maximum(PLACE_GROWTH * from_ring, finest))
         return np.minimum(spacing, plain)

@@ -16,15 +16,12 @@ rows are exact for every chain, and one round suffices.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import block_diag, csr_matrix, diags, vstack
 
 from ...arrays import FloatArray, IndexArray
-from ..ambusher import Ambush
-from ..budget import Budget
 from ..legs import Legs
 from ..tolerance import ceiling, within
 from .chain import NO_FLOW, MarkovChain
@@ -78,12 +75,13 @@ class RouteDistribution:
         self._loss = np.append(self._loss, loss)
         self.multipliers = np.append(self.multipliers, np.zeros(len(loss)))
 
-    def start_at(self, ambush: Ambush, budgets: Sequence[Budget]) -> None:
-        """Search for the first multipliers in the direction of an ambusher's strategy."""
-        self.multipliers[: len(ambush.q)] = ambush.q
-        worth = [price * budget.margin for price, budget in zip(ambush.prices, budgets, strict=True)
-                 if budget.is_limited]
-        self.prices = np.array(worth) / (self.cap or 1.0)
+    def start_at(self, q: FloatArray, worth: FloatArray) -> None:
+        """Search for the first multipliers in the direction of an ambusher's q (K,) at the sites.
+
+        ``worth`` has the price of each limited budget times its margin.
+        """
+        self.multipliers[: len(q)] = q
+        self.prices = worth / (self.cap or 1.0)
 
     def measure(self, cap: float) -> None:
         """Compute the value of the chain, and rows that are exact at it, for a new ``cap``."""
