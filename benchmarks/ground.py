@@ -2,8 +2,9 @@
 """The default plan against what the same ground, reach and length allow.
 
 Each game is planned by default, from a finer first network, on a uniform network of 30 000 nodes,
-and on a plain one of the default's size. A row for each plan is appended to a file as it goes: run
-it in pieces. Rows that are there are not planned again; ``--report`` plans nothing.
+and on a plain one of the default's size; with ``--before CHECKOUT`` also by the package of another
+checkout. A row for each plan is appended to a file as it goes: run it in pieces. Rows that are
+there are not planned again; ``--report`` plans nothing.
 """
 
 from __future__ import annotations
@@ -38,18 +39,21 @@ CELLS = 200  # along the sides of maps that are drawn
 REACH = 0.015, 0.1  # of the map's longer side
 DETOUR = 1.1, 1.5
 WAYS = ('default', 'fine', 'uniform', 'plain')
+BEFORE = 'before'
 FINE, NODES = 10_000, 30_000  # of the first network if it is fine, and of a uniform one
 TUBE = 0.1  # of the reach, with a uniform network
 # Names of families here, and of those of ``families`` that they are.
 DRAWN = {'hills': 'hills-obstacles', 'rough': 'rough-obstacles', 'open': 'hills-coarse',
          'corridor': 'corridor', 'walls': 'building', 'city': 'city', 'maze': 'maze'}
+# Families whose default plans are slow: reach 5 m, secured 10 m, detour 1.15.
+SLOW = ('waves', 'patches', 'free-walls')
 
 
 def draw(family: str, seed: int) -> Problem:
     """The game of a family, or of a map by its path, that a seed draws."""
     rng = np.random.default_rng(seed)
-    if family in DRAWN:
-        scenario = FAMILIES[DRAWN[family]](rng, CELLS)
+    if family in (*DRAWN, *SLOW):
+        scenario = FAMILIES[DRAWN.get(family, family)](rng, CELLS)
     else:
         scenario = terrain() if family == 'terrain' else across(
             read_risk_map(YARD if family == 'yard' else family), 0.06)
@@ -57,6 +61,8 @@ def draw(family: str, seed: int) -> Problem:
     detour, secured = rng.uniform(*DETOUR), rng.choice([-1.0, 2.0 * reach])
     if family == 'terrain':
         reach, secured, detour = 500.0, 2000.0, 1.2
+    elif family in SLOW:
+        reach, secured, detour = 5.0, 10.0, 1.15
     options = PlanningOptions(game=GameOptions(ambush_radius=reach, secured_radius=secured),
                               strategy=StrategyOptions(max_detour=detour,
                                                        time_limit=math.inf))
@@ -82,7 +88,7 @@ def planned(name: str, way: str) -> Answer:
     begin = time.process_time()
     plan = plan_trip(plain, ground.scenario.start, ground.scenario.goal, options)
     return {'seconds': time.process_time() - begin, 'value': plan.value, 'words': ground.words,
-            'bound': plan.lower_bound, 'entropy': plan.trip.route_entropy,
+            'bound': plan.lower_bound, 'entropy': plan.strategy.route_entropy,
             'nodes': len(plan.network.points),
             'status': f'value {plan.value:.4g}, {len(plan.network.points)} nodes'}
 
@@ -115,29 +121,49 @@ def summary(rows: dict[tuple[str, str], Answer]) -> str:
         lines.append([f'**{what}**', f'{len(figures)} of {len(names)}', *[''] * len(WAYS),
                       f'**{over:.3f}**', f'**{seconds:.1f}**', f'{gap:.1%}'])
     head = ('game', 'options', *WAYS, 'default over the best', 's', 'gap')
-    return f'{conditions()}.\n\n{table(head, lines)}'
+    return f'{conditions()}.\n\n{table(head, lines)}\n{comparison(rows)}'
+
+
+def comparison(rows: dict[tuple[str, str], Answer]) -> str:
+    """A row for each game that was also planned by another checkout; empty if there are none."""
+    games = [(name, row, rows[name, 'default']) for (name, way), row in sorted(rows.items())
+             if way == BEFORE and 'value' in row and 'value' in rows.get((name, 'default'), {})]
+    if not games:
+        return ''
+    figures = np.array([(before['seconds'], after['seconds'], after['value'] / before['value'],
+                         after['entropy'] / before['entropy'],
+                         after['value'] / after['bound'] - 1.0) for _, before, after in games])
+    names = [name for name, _, _ in games]
+    lines = [[name, *map('{:.4g}'.format, row)] for name, row in zip(names, figures, strict=True)]
+    for what, of in (('median', np.median), ('least', np.min), ('largest', np.max)):
+        lines.append([f'**{what}**', *map('{:.4g}'.format, of(figures, axis=0))])
+    head = ('game', 's before', 's', 'value over before', 'entropy over before', 'gap')
+    return f'\n{table(head, lines)}'
 
 
 def main() -> None:
     parser = new_parser(__doc__)
-    families = [*DRAWN, 'terrain', 'yard']
+    families = [*DRAWN, *SLOW, 'terrain', 'yard']
     parser.add_argument('--family', nargs='+', default=families,
                         help=f"of {', '.join(families)}, or the path of a map")
     parser.add_argument('--seed', type=int, default=secrets.randbelow(10**9),
                         help='the first seed, new in each run')
     parser.add_argument('--count', type=int, default=1, help='games of each family')
     parser.add_argument('--ways', nargs='*', default=list(WAYS), choices=WAYS)
+    parser.add_argument('--before', type=Path, metavar='CHECKOUT', help='also plan with its code')
     parser.add_argument('--limit', type=float, default=300.0, help='of each plan [processor s]')
     parser.add_argument('--rows', type=Path, default=ROWS, help='file to which rows are appended')
     parser.add_argument('--report', action='store_true', help='only make the table')
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.count)
+    ways = [*options.ways, *([BEFORE] if options.before else [])]
     for family, seed, way in [] if options.report else product(
-            options.family, seeds, options.ways):
+            options.family, seeds, ways):
         name = f'{family}:{seed}'
         if (name, way) in rows_in(options.rows):
             continue
-        answer = run('ground.planned', name, options.limit, way=way)
+        checkout = options.before if way == BEFORE else None
+        answer = run('ground.planned', name, options.limit, checkout, way=way)
         options.rows.parent.mkdir(exist_ok=True)
         with options.rows.open('a') as file:
             print(json.dumps(answer | {'way': way}), file=file, flush=True)
