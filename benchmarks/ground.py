@@ -66,7 +66,7 @@ def draw(family: str, seed: int) -> Problem:
     options = PlanningOptions(game=GameOptions(ambush_radius=reach, secured_radius=secured),
                               strategy=StrategyOptions(max_detour=detour,
                                                        time_limit=math.inf))
-    words = f'reach {reach:.3g} held {secured:.3g} detour {detour:.3g}'
+    words = f'reach {reach:.3g} secured {secured:.3g} detour {detour:.3g}'
     return Problem(scenario, options, (), words)
 
 

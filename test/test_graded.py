@@ -16,6 +16,8 @@ from ambush_planner import (
     StrategyOptions,
     plan_trip,
 )
+from ambush_planner.game.budget import length_budget, shortest_length
+from ambush_planner.game.game import make_game
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.construction import build_trip_graph
 from ambush_planner.network.grading import RING
@@ -86,6 +88,21 @@ def test_a_pass_of_one_cell_is_in_the_network():
     inside = (np.abs(graph.points - (30.5, 18.5)) < 0.5).all(axis=1)
     beyond = graph.points[graph.edges[inside[graph.edges[:, 0]], 1], 0]
     assert inside.any() and beyond.min() < 30.0 and beyond.max() > 31.0
+
+
+def test_the_first_network_has_the_pass_on_its_way_and_the_budget_of_those_that_follow():
+    """A lattice of 5 m misses the gap in the middle; the way around is longer by a sixth."""
+    risk_map, options = yard(1.0, [(30, 0, 19), (30, 20, 34)]), planning(1)
+    first = Trip(risk_map, START, GOAL, (), options).networks(None)[0]
+    later, plain = network_of(risk_map, options), network_of(risk_map, planning(0))
+    assert first.refined is None
+    assert first.ground_length == pytest.approx(later.ground_length, rel=1e-3)
+    assert shortest_length(first) < 1.05 * first.ground_length < shortest_length(plain)
+    assert len(plain.points) < len(first.points) < len(later.points)
+    plan = plan_trip(risk_map, START, GOAL, planning(1, max_detour=1.1))
+    budgets = [length_budget(make_game(each, GameOptions()), 1.1).limit for each in (first, later)]
+    assert budgets[0] == pytest.approx(budgets[1], rel=1e-3)
+    assert plan.strategy.expected_length <= budgets[1] * (1.0 + 1e-6)
 
 
 @examples(20)

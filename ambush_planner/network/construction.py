@@ -148,8 +148,9 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
                      grading: Grading | None = None) -> TripGraph:
     """Place and join the nodes of a trip's ground; raises as ``build_network``.
 
-    A graded network has nodes in all passes that are wide enough for the clearance, and its length
-    budgets are multiples of the shortest way over the ground.
+    A graded network has nodes in all passes that are wide enough for the clearance, or if it is a
+    trip's first one, in those on shortest ways. Its length budgets are multiples of the shortest
+    way over the ground.
     """
     field = ObstacleField(risk_map, options.clear_of_edge)
     named_ends = _checked_ends(risk_map, field, [start_xy, *stops, goal_xy], options)
@@ -171,19 +172,25 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
     uv, edges, unreachable = connect_nodes(space, passes)
     if len(passes) and unreachable:
         # Triangles of pass nodes can cut the lattice's only way, which matters more.
-        uv, edges, unreachable = connect_nodes(space, passes[:0])
+        passes = passes[:0]
+        uv, edges, unreachable = connect_nodes(space, passes)
     if unreachable:
         uv, edges = _add_passage_nodes(space, unreachable)
+    refined = grading.refined if grading else None
+    ground = GroundLengths(field, options.clearance, uv, edges) if grading else None
+    if ground and refined is None and len(passes):
+        numbers = [places.index(position) - len(places) for position in positions]
+        driven = np.concatenate([ground.way(*pair) for pair in pairwise(numbers)])
+        on_ways = np.isin(np.arange(len(uv) - len(ends) - len(passes), len(uv) - len(ends)), driven)
+        fewer, their_edges, unreachable = connect_nodes(space, passes[on_ways])
+        uv, edges = (uv, edges) if unreachable else (fewer, their_edges)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
     first = len(uv) - len(ends)
     alpha = risk_map.alpha[risk_map.cells(uv)]
     alpha[first:] = 0.0
     visits = tuple(first + places.index(position) for position in positions)
-    if grading is None:
-        return TripGraph(points, alpha, edges, visits)
-    return TripGraph(points, alpha, edges, visits, None, grading.refined,
-                     GroundLengths(field, options.clearance, uv, edges))
+    return TripGraph(points, alpha, edges, visits, None, refined, ground)
 
 
 def _add_passage_nodes(space: FreeSpace,

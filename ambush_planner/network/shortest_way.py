@@ -23,7 +23,10 @@ POINTS, ROUNDS, MIN_GAIN = 120, 12, 2e-4
 
 
 class GroundLengths:
-    """Lengths over the ground [m] between nodes ``uv`` (N, 2) that edges (E, 2) join."""
+    """Lengths over the ground [m] between nodes ``uv`` (N, 2) that edges (E, 2) join.
+
+    Nodes are counted from the last one, -1.
+    """
 
     def __init__(self, field: ObstacleField, clearance: float, uv: FloatArray,
                  edges: IndexArray) -> None:
@@ -36,11 +39,16 @@ class GroundLengths:
         if one == other:
             return 0.0
         if pair not in self._known:
-            lengths = np.hypot(*(self._uv[self._edges[:, 1]] - self._uv[self._edges[:, 0]]).T)
-            nodes = shortest_path(self._edges, lengths, len(self._uv), *pair)
+            nodes = self.way(*pair)
             self._known[pair] = LATTICE_RATIO * taut_length(
                 self._field, self._uv[nodes], self._clearance) if len(nodes) else math.inf
         return self._known[pair]
+
+    def way(self, one: int, other: int) -> IndexArray:
+        """Nodes (K,), from 0 on, of the shortest way on the edges; none if there is none."""
+        lengths = np.hypot(*(self._uv[self._edges[:, 1]] - self._uv[self._edges[:, 0]]).T)
+        count = len(self._uv)
+        return shortest_path(self._edges, lengths, count, one % count, other % count)
 
 
 def taut_length(field: ObstacleField, way: FloatArray, clearance: float) -> float:

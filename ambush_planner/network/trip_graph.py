@@ -64,7 +64,9 @@ class TripGraph:
         used = np.flatnonzero((heads != source) & (tails != target))
         used = used[np.lexsort((heads[used], tails[used]))]
         seconds = None if self.seconds is None else self.seconds[used]
-        length = None if self.ground is None else self.ground.between(source, target)
+        count = len(self.points)
+        length = None if self.ground is None else self.ground.between(source - count,
+                                                                      target - count)
         return Network(self.points, self.alpha, self.edges[used], source, target, seconds,
                        self.refined, length)
 
