@@ -18,7 +18,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from families import FAMILIES, Problem
+from families import FAMILIES, SLOW, Problem
 from one_run import Answer, run
 from report import conditions, new_parser, publish, table
 from scenarios import across, terrain
@@ -45,15 +45,15 @@ TUBE = 0.1  # of the reach, with a uniform network
 # Names of families here, and of those of ``families`` that they are.
 DRAWN = {'hills': 'hills-obstacles', 'rough': 'rough-obstacles', 'open': 'hills-coarse',
          'corridor': 'corridor', 'walls': 'building', 'city': 'city', 'maze': 'maze'}
-# Families whose default plans are slow: reach 5 m, secured 10 m, detour 1.15.
-SLOW = ('waves', 'patches', 'free-walls')
 
 
 def draw(family: str, seed: int) -> Problem:
     """The game of a family, or of a map by its path, that a seed draws."""
     rng = np.random.default_rng(seed)
-    if family in (*DRAWN, *SLOW):
-        scenario = FAMILIES[DRAWN.get(family, family)](rng, CELLS)
+    if family in DRAWN:
+        scenario = FAMILIES[DRAWN[family]](rng, CELLS)
+    elif family in SLOW:
+        scenario = SLOW[family](rng, CELLS)
     else:
         scenario = terrain() if family == 'terrain' else across(
             read_risk_map(YARD if family == 'yard' else family), 0.06)
@@ -126,8 +126,8 @@ def summary(rows: dict[tuple[str, str], Answer]) -> str:
 
 def comparison(rows: dict[tuple[str, str], Answer]) -> str:
     """A row for each game that was also planned by another checkout; empty if there are none."""
-    games = [(name, row, rows[name, 'default']) for (name, way), row in sorted(rows.items())
-             if way == BEFORE and 'value' in row and 'value' in rows.get((name, 'default'), {})]
+    games = [(name, row, after) for (name, way), row in sorted(rows.items()) if way == BEFORE
+             and row.get('entropy') and (after := rows.get((name, 'default'), {})).get('bound')]
     if not games:
         return ''
     figures = np.array([(before['seconds'], after['seconds'], after['value'] / before['value'],

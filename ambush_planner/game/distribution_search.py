@@ -59,9 +59,13 @@ def find_chain(search: Search) -> Incumbent | None:
     chain on the way counts. Rounds begin again if no distribution near a chain keeps to the caps of
     added sites. Returns None if no chain keeps the budgets.
     """
-    program, entropy = search.program, 0.0
-    distribution = search.distribution or _around_flow(search)
-    distribution.measure(_cap(search))
+    program, entropy, distribution = search.program, 0.0, search.distribution
+    if distribution:
+        added = slice(distribution.site_count, None)
+        distribution.add_sites(csr_matrix(search.entering[added]), search.loss[added])
+        distribution.measure(_cap(search))
+    else:
+        distribution = _around_flow(search)
     best: Incumbent | None = None
     known = len(search.loss)  # sites when rounds began
     end, begin = search.deadline, time.monotonic()
@@ -78,7 +82,8 @@ def find_chain(search: Search) -> Incumbent | None:
         if not feasible and not distribution.rounds:
             break
         if feasible:
-            threshold = ceiling(program.bound, SEPARATION_TOLERANCE * search.tolerance)
+            threshold = ceiling(min(program.bound, search.proved),
+                                SEPARATION_TOLERANCE * search.tolerance)
             found = search.add_violated_sites(distribution.chain, threshold, ROUTES.site_spacing)
         if found:
             distribution.add_sites(found.entering, found.alpha)
@@ -105,7 +110,7 @@ def find_chain(search: Search) -> Incumbent | None:
 
 
 def _cap(search: Search) -> float:
-    """Cap of each site's mean loss, without the tolerance."""
+    """Cap of each site's mean loss, without the tolerance: the bound that is known."""
     program = search.program
     if isinstance(program, Routes):
         least = ceiling(program.value, FLOW_TOLERANCE * search.tolerance)
@@ -136,7 +141,7 @@ def _around_flow(search: Search) -> RouteDistribution:
     distribution.add_sites(search.entering, search.loss)
     distribution.measure(_cap(search))
     ambush = search.program.ambush
-    distribution.start_at(ambush.q, np.array([
+    distribution.aim(ambush.q, np.array([
         price * budget.margin for price, budget in zip(ambush.prices, legs.budgets, strict=True)
         if budget.is_limited]))
     return distribution

@@ -136,7 +136,7 @@ class Search:
     ``points`` (S, 2), ``loss`` (S,) and ``entering`` (S, M) belong to the sites. ``earlier`` has
     the ambushers of programs that were replaced, ``reason`` says why the program ended last, and
     ``evaluations`` counts the Gibbs distributions that were computed. ``distribution`` is the
-    latest one, and ``proved`` the bound that a certificate has.
+    latest one of chains, if there is one; ``proved`` is the bound of a certificate, ``inf`` before.
     """
 
     def __init__(self, problem: SearchProblem, program: Program) -> None:
@@ -210,4 +210,5 @@ class Search:
             if len(found.points):
                 value, worst = float(found.mean_loss[0]), len(self.loss)
                 self._add(found)
+                self.program.add_sites(found.entering, found.alpha)
         return replace(best, value=value, worst=worst)

@@ -22,12 +22,14 @@ from .search import Incumbent, Search, SearchProblem, SiteSearch
 from .strategy import Strategy, StrategyOptions, TripStrategy
 from .tolerance import ROUNDS, within
 from .value.linear_program import linear_program_strategy
+from .value.potential import Potential
 from .value_search import find_sites, find_value, find_value_by_max_flow, program_law, tighten
 
 # Probability of a hit from which on an ambush hits every route, up to rounding.
 ALL_ROUTES = 1.0 - NEGLIGIBLE
-# Share of the tolerance that a bound may lose when it is proved, for routes to go on below it.
-PROVED = 0.6
+# Largest share of the tolerance by which the proved bound may be below the program's for another
+# distribution: it has to leave room.
+UNPROVED = 0.6
 # Time kept after the search for proofs, and after proofs for the rest: a share of the time limit,
 # and the most of it [s].
 RESERVE = 0.05, 1.0
@@ -152,16 +154,18 @@ def solve_problem(problem: SearchProblem) -> TripStrategy:
 def finish(search: Search) -> TripStrategy:
     """Run the last two stages: distribution and certificate.
 
-    If the certificate proves slightly less than the program's bound, and so is not within the
-    tolerance, the distribution goes on within caps of the bound that is proved.
+    If curves prove slightly less than the potential's bound, so that the gap exceeds the tolerance,
+    the distribution is brought within the tolerance of the bound that is proved.
     """
     found = certify(search, find_distribution(search))
-    if found.reason != 'stalled' or not within(search.program.bound, found.lower_bound,
-                                               PROVED * search.tolerance):
+    nearly = within(search.program.bound, found.lower_bound, UNPROVED * search.tolerance)
+    if found.reason != 'stalled' or not nearly or not isinstance(search.program, Potential):
         return found
     search.proved = found.lower_bound
+    search.earlier.append(search.program.ambush)
     best = find_chain(search)
-    return certify(search, best) if best and best.within_tolerance else found
+    again = certify(search, best) if best and best.within_tolerance else found
+    return again if again.reason == 'complete' else found
 
 
 def finish_flow(search: Search) -> TripStrategy:

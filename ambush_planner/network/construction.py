@@ -182,8 +182,8 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
         numbers = [places.index(position) - len(places) for position in positions]
         driven = np.concatenate([ground.way(*pair) for pair in pairwise(numbers)])
         on_ways = np.isin(np.arange(len(uv) - len(ends) - len(passes), len(uv) - len(ends)), driven)
-        fewer, their_edges, unreachable = connect_nodes(space, passes[on_ways])
-        uv, edges = (uv, edges) if unreachable else (fewer, their_edges)
+        thinned, thinned_edges, unreachable = connect_nodes(space, passes[on_ways])
+        uv, edges = (uv, edges) if unreachable else (thinned, thinned_edges)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
     first = len(uv) - len(ends)

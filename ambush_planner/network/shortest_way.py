@@ -25,7 +25,7 @@ POINTS, ROUNDS, MIN_GAIN = 120, 12, 2e-4
 class GroundLengths:
     """Lengths over the ground [m] between nodes ``uv`` (N, 2) that edges (E, 2) join.
 
-    Nodes are counted from the last one, -1.
+    Nodes are numbered -1, -2, ... from the last one.
     """
 
     def __init__(self, field: ObstacleField, clearance: float, uv: FloatArray,

@@ -38,7 +38,7 @@ LEAST_FALL = 0.02
 # network, together, up to which the network is fine enough.
 SHARE, COARSE_SHARE = 0.003, 0.1
 # Shares of all site prices that divide sites into classes, and the spacing for each class
-# [reaches]. Above the first share the flow is narrow, so rims have to be fine as well.
+# [reaches].
 NARROW, SPACINGS = (0.1, 0.25), (1.0 / 6.0, 1.0 / 9.0, 1.0 / 18.0)
 # Ratio of the spacing at a site to that of its class up to which the network is fine there.
 FINE = 1.5
@@ -109,22 +109,22 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
     grades = grading(risk_map, options, network.refined)
     q = search.program.ambush.q
     site_prices = np.append(q, np.zeros(len(search.loss) - len(q))) * search.loss
-    if grades is None or not site_prices.any():
+    if grades is None or network.refined is None or not site_prices.any():
         return None
     sites = np.flatnonzero(site_prices > SHARE * site_prices.sum())
     share, points = site_prices[sites] / site_prices.sum(), search.points[sites]
-    narrow, site_class = share > NARROW[0], np.searchsorted(NARROW, share)
+    site_class = np.searchsorted(NARROW, share)
     target = np.array([useful_spacing(risk_map, each * reach) for each in SPACINGS])[site_class]
     ends = network.points[[(game.network.source, game.network.target)
                            for game in search.legs.games]].reshape(-1, 2)
-    rims = np.where(narrow, search.legs.reach, 0.0)[:, None] * COMPASS[:, None]
+    rims = search.legs.reach * COMPASS
     plain = node_spacing(risk_map, options.network)
     spacing = np.max([grades.spacing_at(points + rim, ends, plain) for rim in rims], axis=0)
     coarse = spacing > FINE * target
     if site_prices[sites[coarse]].sum() <= COARSE_SHARE * site_prices.sum():
         return None
     added = np.column_stack((points[coarse], target[coarse]))
-    assert network.refined is not None  # it is graded
     places = np.concatenate((network.refined, added))
     finest_first = np.argsort(places[:, 2], kind='stable')
-    return places[np.sort(thin_out(places[:, :2], finest_first, MIN_DISTANCE * grades.radius))]
+    places = places[np.sort(thin_out(places[:, :2], finest_first, MIN_DISTANCE * grades.radius))]
+    return None if np.array_equal(places, network.refined) else places

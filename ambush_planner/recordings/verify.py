@@ -216,10 +216,7 @@ def network_problems(trip: TripStrategy, risk_map: RiskMap, planning: PlanningOp
     """Build the networks again and compare them bit for bit; then compare the game's budgets."""
     games, played = [leg.game for leg in trip.legs], solved_game(risk_map, planning)
     recorded = [game.network for game in games]
-    laid_out = planning
-    if recorded[0].ground_length is None:  # first networks of earlier versions were plain
-        laid_out = replace(planning, network=replace(planning.network, refine=0))
-    laid = Trip(risk_map, said.start, said.goal, said.stops, laid_out).networks(recorded[0].refined)
+    laid = Trip(risk_map, said.start, said.goal, said.stops, planning).networks(recorded[0].refined)
     networks = add_hiding_places(laid, risk_map, planning, played)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
     if holds_anywhere(planning):

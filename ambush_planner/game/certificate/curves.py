@@ -145,11 +145,11 @@ class _Crossings:
         """
         entering = csr_matrix(self._entering[rows][:, self._edge]).tocoo()
         sites = np.zeros(len(self._edge), dtype=object)
-        np.add.at(sites, entering.col, np.array([1 << row for row in entering.row.tolist()],
+        np.bitwise_or.at(sites, entering.col, np.array([1 << row for row in entering.row.tolist()],
                                                 dtype=object))
         crossing = np.isin(self._link, links)
-        open_ = ~crossing & (sites == 0)
-        joined = csr_matrix((np.ones(open_.sum()), (self._tail[open_], self._head[open_])),
+        free = ~crossing & (sites == 0)
+        joined = csr_matrix((np.ones(free.sum()), (self._tail[free], self._head[free])),
                             (self._count, self._count))
         region = connected_components(joined, connection='strong')[1]
         source, target = region[list(self._ends)].tolist()
@@ -166,8 +166,8 @@ class _Crossings:
             if (crossed, known, place) in labels:
                 continue
             labels.add((crossed, known, place))
-            for head, more, crosses in steps.get(place, ()):
-                met = crossed + crosses + (known | more).bit_count()
-                if met < winds:
-                    heapq.heappush(queue, (met, crossed + crosses, known | more, head))
+            for head, entered, is_crossed in steps.get(place, ()):
+                number = crossed + is_crossed + (known | entered).bit_count()
+                if number < winds:
+                    heapq.heappush(queue, (number, crossed + is_crossed, known | entered, head))
         return winds

@@ -7,10 +7,10 @@ c = b + C' v has the greatest route entropy less b' p if v >= 0 minimises the co
     log Z(b + C' v) + sum v,    gradient 1 - C p,   Hessian the covariance of the rows' costs.
 
 This function is at least the entropy less b' p of any strategy with C p <= 1. So a value below
--max b' p proves that no such strategy exists. The search begins at the best multiple of the given
-multipliers, with L-BFGS-B, which scales them to bring the Hessian's diagonal near 1. Newton's
-method ends it, in the multipliers of the tight limits, with Levenberg-Marquardt damping. The search
-goes on as long as rounds lower the function noticeably.
+-max b' p proves that no such strategy exists. The given multipliers are first doubled as long as
+that lowers the function. L-BFGS-B goes on from there, with multipliers scaled to bring the
+Hessian's diagonal near 1. Newton's method ends the search, in the multipliers of the tight limits,
+with Levenberg-Marquardt damping. Both take turns as long as they lower the function noticeably.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class _DualSearch:
 
     def run(self, start: FloatArray) -> None:
         """Alternate L-BFGS and Newton's method until a turn gains next to nothing."""
-        self.quasi_newton(self.best_multiple(start))
+        self.quasi_newton(self.doubled(start))
         # Least gain of an evaluation with which a turn of them can find the missing entropy.
         previous, gain = np.inf, self.accuracy.missing / ENTROPY.evaluations
         for _ in range(ENTROPY.turns):
@@ -143,14 +143,17 @@ class _DualSearch:
         else:
             self.found.infeasible = self.found.violation > self.accuracy.excess
 
-    def best_multiple(self, start: FloatArray) -> FloatArray:
+    def doubled(self, start: FloatArray) -> FloatArray:
         """Double ``start`` (R,) as long as that lowers the function."""
+        largest = float((self.columns @ start).max(initial=0.0))
+        if not 0.0 < largest < ENTROPY.max_weight / 4.0:
+            return np.zeros_like(start)
         value, _ = self(start)
-        while start.any():
-            doubled, _ = self(2.0 * start)
-            if not doubled < value:
+        while largest < ENTROPY.max_weight / 4.0:
+            lower, _ = self(2.0 * start)
+            if not lower < value:
                 break
-            start, value = 2.0 * start, doubled
+            start, value, largest = 2.0 * start, lower, 2.0 * largest
         return start
 
     def quasi_newton(self, start: FloatArray) -> None:

@@ -75,8 +75,13 @@ class RouteDistribution:
         self._loss = np.append(self._loss, loss)
         self.multipliers = np.append(self.multipliers, np.zeros(len(loss)))
 
-    def start_at(self, q: FloatArray, worth: FloatArray) -> None:
-        """Search for the first multipliers in the direction of an ambusher's q (K,) at the sites.
+    @property
+    def site_count(self) -> int:
+        """Number of sites, S."""
+        return len(self._loss)
+
+    def aim(self, q: FloatArray, worth: FloatArray) -> None:
+        """Begin the search for multipliers in the direction of an ambusher's q (K,) at the sites.
 
         ``worth`` has the price of each limited budget times its margin.
         """
