@@ -21,9 +21,10 @@ from hypothesis import strategies as st
 from ambush_planner import GameOptions, Network, SolverFailed
 from ambush_planner.game.ambusher import Ambusher
 from ambush_planner.game.budget import length_budget
+from ambush_planner.game.certificate import curves as curves_module
 from ambush_planner.game.certificate.best_response import SEARCHES, Subnetwork
 from ambush_planner.game.certificate.certificate import lower_bounds
-from ambush_planner.game.certificate.curves import curve_bound
+from ambush_planner.game.certificate.curves import _Crossings, curve_bound
 from ambush_planner.game.faces import Circulation, make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.legs import Legs
@@ -125,6 +126,23 @@ def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, se
         bound = case.bound_of(ambusher)
         assert bound <= max(case.least_cost(ambusher), 0.0) + 1e-9
         assert bound <= case.once * (1.0 + 1e-9)
+
+
+@examples(30)
+@given(cases, st.integers(0, 10**6), st.sampled_from((3, 40, 10_000)))
+def test_the_least_number_of_meetings_is_that_of_all_routes(case, seed, labels):
+    """For any links and sites; searches that are cut short never say more."""
+    assume(case.ambusher is not None and len(case.game.sites) > 1)
+    rng, faces, game = np.random.default_rng(seed), make_faces(case.game), case.game
+    links = rng.choice(len(faces.left), min(rng.integers(0, 6), len(faces.left)), replace=False)
+    rows = rng.choice(len(game.sites), rng.integers(1, min(6, len(game.sites)) + 1), replace=False)
+    crossed = [np.isin(faces.link[route], links).sum() for route in routes_of(game.network)]
+    met = case.met[:, game.sites[rows]].sum(axis=1) + crossed
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(curves_module, 'MAX_LABELS', labels)
+        found = _Crossings(faces).least_met(links, rows, 5)
+    assert found <= min(5, met.min())
+    assert found == min(5, met.min()) or labels < 10_000
 
 
 def test_the_circulation_of_another_network_is_refused():

@@ -150,6 +150,12 @@ def test_refinement_lowers_the_value_and_keeps_the_best_round():
     assert seen
 
 
+def test_no_round_repeats_a_network():
+    plan = plan_trip(sloping((30, 0, 14), (30, 26, 36)), START, GOAL, planning(6))
+    nodes = [each.nodes for each in plan.refinement[1:]]
+    assert 1 < len(nodes) == len(set(nodes))
+
+
 def test_a_later_plan_keeps_the_refined_places():
     risk_map = sloping((30, 0, 14), (30, 26, 36))
     refined = np.array([[30.0, 20.0, 0.8]])

@@ -36,7 +36,7 @@ class Network(Shown):
         Driving time of each edge [s]. Budgets are then of time instead of length.
     refined : (K, 3) float, optional
         Places (x, y) around which a graded network is finer, and the spacing of nodes there [m].
-        None: the network is plain.
+        None: there are none, as on a trip's first network.
     ground_length : float, optional
         Length of the shortest way over the ground [m], of which length budgets are multiples.
         None: that of the network's shortest route.

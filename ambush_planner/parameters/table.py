@@ -95,9 +95,9 @@ _DESCRIBED: dict[str, str | Declaration] = {
     'network.target_nodes':
         'Approximate number of nodes if network.spacing is 0.',
     'network.refine':
-        'With a reach and uniform_delaunay: rounds in which the network, fine around start, stops '
-        'and goal, is refined where the ambusher waits; -1: as long as the value falls by over '
-        '2 %; 0: one plan on a plain network.',
+        'With a reach and uniform_delaunay: rounds in which the network, fine at the rim of the '
+        'secured area, is refined where the ambusher waits; -1: as long as the value falls by '
+        'over 2 %; 0: one plan on a plain network, with a budget of its own shortest way.',
     'network.clearance':
         'Distance that routes keep from obstacle cells [m].',
     'network.clear_of_edge':

@@ -23,7 +23,7 @@ MAX_PARTS = 5
 DEFAULT_TUBE, TUBE_OF_REACH = 0.35, 0.1
 # Largest distance of paths from the line of a road, unless a tube is set [m].
 ROAD_TUBE = 1.0
-# Least spacing of a graded network, and radius within which it is refined around a place [reaches].
+# Least spacing of a graded network, and outer radius of the ring around a refined place [reaches].
 FINEST, REFINED_RADIUS = 1.0 / 6.0, 1.25
 # Maximum start tolerance, as a share of the reach; the secured area shrinks by it.
 MAX_TOLERANCE = 0.25
@@ -111,9 +111,9 @@ def is_graded(options: PlanningOptions) -> bool:
 
 def grading(risk_map: RiskMap, options: PlanningOptions,
             refined: FloatArray | None) -> Grading | None:
-    """Return the grading of the network, with ``Network.refined`` (K, 3); None: plain.
+    """Return the grading of the network with ``Network.refined`` (K, 3), None if it has none.
 
-    A first network, whose ``refined`` is None, has passes and the budget of those that follow.
+    That of a first network, whose ``refined`` is None, brings the budget of those that follow.
     """
     network, reach = options.network, options.game.ambush_radius
     if not is_graded(options):

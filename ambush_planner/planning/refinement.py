@@ -6,9 +6,9 @@ ambusher, at the minimum cut, can lower it. So each round makes the network fine
 from these sites. The cut moves to coarser parts of the network, and after two or three rounds the
 value hardly falls (docs/theory.md, section 10).
 
-The first plan, of the plain network, is finished before anything is refined. Rounds find values
-only; the network of least value then gets a route distribution, and becomes the plan if its value
-is lower than the first one's. So the best finished plan is returned, however short the time is.
+The plan of the first network is finished before anything is refined. Rounds find values only; the
+network of least value then gets a route distribution, and becomes the plan if its value is lower
+than the first one's. So the best finished plan is returned, however short the time is.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans of trips: a strategy for each leg, drawn independently, against one ambusher.
 
-Planning is anytime: the plan of the plain network is finished first, and that of a refined network
+Planning is anytime: the plan of the first network is finished first, and that of a refined network
 replaces it only when it is finished as well and has a lower value.
 """
 
@@ -227,7 +227,7 @@ class Trip:
     options: PlanningOptions
 
     def networks(self, refined: FloatArray | None) -> tuple[Network, ...]:
-        """Build the networks of the legs with ``Network.refined`` (K, 3); None: plain ones."""
+        """Build the networks of the legs with ``Network.refined`` (K, 3); None: the first ones."""
         return build_trip_graph(self.risk_map, self.start_xy, self.goal_xy, self.options.network,
                                 self.stops, grading(self.risk_map, self.options, refined)
                                 ).networks()
