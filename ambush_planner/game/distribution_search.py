@@ -140,10 +140,11 @@ def _around_flow(search: Search) -> RouteDistribution:
                                      search.deadline)
     distribution.add_sites(search.entering, search.loss)
     distribution.measure(_cap(search))
-    ambush = search.program.ambush
-    distribution.aim(ambush.q, np.array([
-        price * budget.margin for price, budget in zip(ambush.prices, legs.budgets, strict=True)
-        if budget.is_limited]))
+    if not legs.no_reentry:  # without a reach, the search is as fast from 0
+        ambush = search.program.ambush
+        distribution.aim(ambush.q, np.array([
+            price * budget.margin for price, budget in zip(ambush.prices, legs.budgets, strict=True)
+            if budget.is_limited]))
     return distribution
 
 
