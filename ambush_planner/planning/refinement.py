@@ -28,7 +28,7 @@ from .solving import Ground, WarmStart
 
 # If no number of rounds is given: the most rounds after the first one, and the most nodes of a
 # network that is refined further, since larger ones take minutes.
-ROUNDS, MAX_NODES = 6, 15_000
+ROUNDS, MAX_NODES = 6, 12_000
 # Time that must be left for another round [times of the last one]: it has twice the nodes, and then
 # needs a route distribution.
 NEXT_ROUND = 6.0
