@@ -227,7 +227,8 @@ def network_problems(trip: TripStrategy, risk_map: RiskMap, planning: PlanningOp
         for one, other in zip(recorded, networks, strict=True)
         for name in ('source', 'target', 'points', 'edges', 'alpha')
     ) or [each.ground_length for each in recorded] != [each.ground_length for each in networks]:
-        return ['network: it does not follow from the recorded map, trip and parameters']
+        return ['network: it does not follow from the recorded map, trip and parameters; if an '
+                'earlier version planned it, plan again']
     if trip.game.options != played:
         return ['strategy: its reach or secured area is not that of the parameters']
     problems, law = [], trip.law
