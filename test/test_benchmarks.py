@@ -15,7 +15,7 @@ BENCHMARKS = Path(__file__).resolve().parent.parent / 'benchmarks'
 pytestmark = pytest.mark.slow
 
 SCRIPTS = {
-    'ground': '--family yard --seed 3 --ways default',
+    'ground': f'--family yard --seed 3 --ways default --before {BENCHMARKS.parent}',
     'limits': '--families gates --each 1 --limits 300 --busy 1 --seed 1',
     'others': '--families hills-coarse --each 1 --nodes 80 --seed 1',
     'random_games': '--first 57 --count 4',

@@ -82,8 +82,7 @@ def find_chain(search: Search) -> Incumbent | None:
         if not feasible and not distribution.rounds:
             break
         if feasible:
-            threshold = ceiling(min(program.bound, search.proved),
-                                SEPARATION_TOLERANCE * search.tolerance)
+            threshold = ceiling(search.bound, SEPARATION_TOLERANCE * search.tolerance)
             found = search.add_violated_sites(distribution.chain, threshold, ROUTES.site_spacing)
         if found:
             distribution.add_sites(found.entering, found.alpha)
@@ -110,12 +109,12 @@ def find_chain(search: Search) -> Incumbent | None:
 
 
 def _cap(search: Search) -> float:
-    """Cap of each site's mean loss, without the tolerance: the bound that is known."""
+    """Cap of each site's mean loss, without the tolerance."""
     program = search.program
     if isinstance(program, Routes):
         least = ceiling(program.value, FLOW_TOLERANCE * search.tolerance)
         return max(program.bound, least / ceiling(1.0, search.tolerance))
-    return min(program.bound, search.proved)
+    return search.bound
 
 
 def _around_flow(search: Search) -> RouteDistribution:

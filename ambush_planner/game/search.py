@@ -151,6 +151,11 @@ class Search:
         self.proved = math.inf
 
     @property
+    def bound(self) -> float:
+        """Lower bound of the value: the program's, or less if a certificate has proved less."""
+        return min(self.program.bound, self.proved)
+
+    @property
     def deadline(self) -> float:
         """The end of the search (``time.monotonic``)."""
         return self.problem.deadline

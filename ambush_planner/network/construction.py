@@ -181,8 +181,9 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
     if ground and refined is None and len(passes):
         numbers = [places.index(position) - len(places) for position in positions]
         driven = np.concatenate([ground.way(*pair) for pair in pairwise(numbers)])
-        on_ways = np.isin(np.arange(len(uv) - len(ends) - len(passes), len(uv) - len(ends)), driven)
-        thinned, thinned_edges, unreachable = connect_nodes(space, passes[on_ways])
+        last = len(uv) - len(ends)  # passes come before the ends
+        needed = np.isin(np.arange(last - len(passes), last), driven)
+        thinned, thinned_edges, unreachable = connect_nodes(space, passes[needed])
         uv, edges = (uv, edges) if unreachable else (thinned, thinned_edges)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends

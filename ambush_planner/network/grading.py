@@ -48,11 +48,11 @@ class Grading:
         """Return the spacing (K,) [m] at points (K, 2), for ``ends`` (E, 2); at most ``plain``."""
         if self.refined is None:
             return np.full(len(points), plain)
-        beyond_rim = np.abs(cKDTree(ends).query(points)[0] - self.rim)
-        spacing = np.maximum(END_GROWTH * beyond_rim, self.finest)
+        rim_distance = np.abs(cKDTree(ends).query(points)[0] - self.rim)
+        spacing = np.maximum(END_GROWTH * rim_distance, self.finest)
         for finest in np.unique(self.refined[:, 2]):
             places = self.refined[self.refined[:, 2] == finest, :2]
             distance = cKDTree(places).query(points)[0] / self.radius
-            beyond_ring = self.radius * (np.abs(distance - RING) - HALF_WIDTH)
-            spacing = np.minimum(spacing, np.maximum(PLACE_GROWTH * beyond_ring, finest))
+            ring_distance = self.radius * (np.abs(distance - RING) - HALF_WIDTH)
+            spacing = np.minimum(spacing, np.maximum(PLACE_GROWTH * ring_distance, finest))
         return np.minimum(spacing, plain)

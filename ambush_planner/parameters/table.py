@@ -97,7 +97,7 @@ _DESCRIBED: dict[str, str | Declaration] = {
     'network.refine':
         'With a reach and uniform_delaunay: rounds in which the network, fine at the rim of the '
         'secured area, is refined where the ambusher waits; -1: as long as the value falls by '
-        'over 2 %; 0: one plan on a plain network, with a budget of its own shortest way.',
+        'over 2 %; 0: one plan on a plain network, with a budget of its own shortest route.',
     'network.clearance':
         'Distance that routes keep from obstacle cells [m].',
     'network.clear_of_edge':

@@ -39,7 +39,7 @@ LEAST_FALL = 0.02
 SHARE, COARSE_SHARE = 0.003, 0.1
 # Shares of all site prices that divide sites into classes, and the spacing for each class
 # [reaches].
-NARROW, SPACINGS = (0.1, 0.25), (1.0 / 6.0, 1.0 / 9.0, 1.0 / 18.0)
+CLASSES, SPACINGS = (0.1, 0.25), (1.0 / 6.0, 1.0 / 9.0, 1.0 / 18.0)
 # Ratio of the spacing at a site to that of its class up to which the network is fine there.
 FINE = 1.5
 # Directions from a site to the places on its rim that are examined.
@@ -113,7 +113,7 @@ def next_places(search: Search, risk_map: RiskMap, options: PlanningOptions) -> 
         return None
     sites = np.flatnonzero(site_prices > SHARE * site_prices.sum())
     share, points = site_prices[sites] / site_prices.sum(), search.points[sites]
-    site_class = np.searchsorted(NARROW, share)
+    site_class = np.searchsorted(CLASSES, share)
     target = np.array([useful_spacing(risk_map, each * reach) for each in SPACINGS])[site_class]
     ends = network.points[[(game.network.source, game.network.target)
                            for game in search.legs.games]].reshape(-1, 2)
